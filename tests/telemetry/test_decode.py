@@ -329,7 +329,7 @@ def test_px4_sends_the_bytes_of_integers(decoder, sender, number):
     frame = frame._replace(payload=number.to_bytes(4, "little", signed=True) + frame.payload[4:])
     record = decoder.decode(frame)
     assert record == Record(Stream.PARAMETER, 0.0, (float(number),), source="CA_ROTOR_COUNT")
-    assert decoder.parameters == {"CA_ROTOR_COUNT": number}
+    assert decoder.states.parameters == {"CA_ROTOR_COUNT": number}
 
 
 def test_ardupilot_sends_integers_as_numbers(decoder, sender):
@@ -344,7 +344,7 @@ def test_real_parameters_and_names_of_full_length(decoder, sender, autopilot):
     decoder.decode(sender.heartbeat(autopilot=autopilot))
     kind = mavlink.MAV_PARAM_TYPE_REAL32
     decoder.decode(parameter(sender, b"ABCDEFGHIJKLMNOP", 0.25, kind))
-    assert decoder.parameters == {"ABCDEFGHIJKLMNOP": 0.25}
+    assert decoder.states.parameters == {"ABCDEFGHIJKLMNOP": 0.25}
     assert decoder.decode(parameter(sender, b"BAD", NAN, kind)) is None
     assert decoder.decode(parameter(sender, b"", 1.0, kind)) is None
     assert decoder.decode(parameter(sender, b"\xff\xfe", 1.0, kind)) is None

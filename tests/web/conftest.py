@@ -19,7 +19,9 @@ class Client:
 
     def __init__(self, site, role=None):
         self.host, self.port = "127.0.0.1", site.access.port
-        self.token = None if role is None else urlsplit(site.address(role)).query.partition("=")[2]
+        self.token = (
+            None if role is None else urlsplit(site.access.address(role)).query.partition("=")[2]
+        )
         self.cookie = None if role is None else f"{site.access.cookie}={self.token}"
 
     @contextmanager

@@ -123,7 +123,7 @@ def test_a_dropped_log_becomes_a_report_in_two_clicks(web, bench, fly):
     words = ("--airframe", "px4-quad-x", "--mission", "all-axes", "--duration", "10")
     flight = fly(*words, "--rate", "50", "--seed", "3")
     _, _, site = bench
-    page = web.page(site.address("pilot"), WIDTHS["phone"])
+    page = web.page(site.access.address("pilot"), WIDTHS["phone"])
     assert "token" not in page.url
     drop(page, flight.tlog)
     page.locator("#setup").wait_for()
@@ -157,7 +157,7 @@ def test_a_dropped_log_becomes_a_report_in_two_clicks(web, bench, fly):
 
 def test_a_layout_that_no_log_gives_is_the_users_choice(web, bench, paper_flight, tmp_path):
     _, _, site = bench
-    page = web.page(site.address("pilot"))
+    page = web.page(site.access.address("pilot"))
     drop(page, paper_flight.tlog)
     page.locator("#setup").wait_for()
     assert page.input_value("#builtin") == ""
@@ -173,7 +173,7 @@ def test_a_layout_that_no_log_gives_is_the_users_choice(web, bench, paper_flight
 
 def test_what_is_wrong_is_said_in_a_line(web, bench, tmp_path):
     _, _, site = bench
-    page = web.page(site.address("pilot"))
+    page = web.page(site.access.address("pilot"))
     fits(page)
     wrong = tmp_path / "holiday.jpg"
     wrong.write_bytes(b"\xff\xd8\xff")
@@ -196,8 +196,8 @@ def live(page, source):
 
 
 def test_two_viewers_and_a_pilot(web, live, source):
-    viewers = [web.page(live.address("viewer"), WIDTHS["phone"]) for _ in range(2)]
-    pilot = web.page(live.address("pilot"), WIDTHS["tablet"])
+    viewers = [web.page(live.access.address("viewer"), WIDTHS["phone"]) for _ in range(2)]
+    pilot = web.page(live.access.address("pilot"), WIDTHS["tablet"])
     for page in (*viewers, pilot):
         page.locator("#row-Ixx").wait_for()
         assert "16.553 ± 0.081" in page.inner_text("#row-Ixx")
@@ -231,7 +231,7 @@ def test_two_viewers_and_a_pilot(web, live, source):
 
 
 def test_every_width_and_theme_of_the_live_page(web, live):
-    page = web.page(live.address("pilot"))
+    page = web.page(live.access.address("pilot"))
     page.locator("#row-Ixx").wait_for()
     page.locator("#plot svg").wait_for()
     for size in WIDTHS.values():
@@ -246,7 +246,7 @@ def test_every_width_and_theme_of_the_live_page(web, live):
 
 
 def test_the_page_by_keyboard(web, live):
-    page = web.page(live.address("pilot"))
+    page = web.page(live.access.address("pilot"))
     page.locator("#row-cg_x").wait_for()
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.className") == "skip"
@@ -258,7 +258,7 @@ def test_the_page_by_keyboard(web, live):
 
 
 def test_call_outs_are_spoken(web, live, source):
-    page = web.page(live.address("viewer"))
+    page = web.page(live.access.address("viewer"))
     page.evaluate(
         """() => { window.spoken = [];
         const value = { cancel() {}, speak: (u) => spoken.push(u.text) };

@@ -235,8 +235,8 @@ def say_addresses(site: "Site", host: str) -> None:
     from gcs_sysid.web.site import is_loopback
 
     far = "" if is_loopback(host) else "; not encrypted: use a network that you trust"
-    say(f"open {site.address('pilot')} in a browser (Ctrl-C ends){far}")
-    say(f"for viewers, who can only look: {site.address('viewer')}")
+    say(f"open {site.access.address('pilot')} in a browser (Ctrl-C ends){far}")
+    say(f"for viewers, who can only look: {site.access.address('viewer')}")
 
 
 def wait_for(stopped: threading.Event) -> None:

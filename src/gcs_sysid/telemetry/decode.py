@@ -214,11 +214,6 @@ class RecordDecoder:
         """How many messages gave no record though they should have."""
         return self._dropped["no time"] + self._dropped["not finite"] + self.states.untimed
 
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Name -> value of the autopilot's parameters received so far."""
-        return self.states.parameters
-
     def reads(self, message_id: int) -> bool:
         """Whether there is anything to read in messages of a type."""
         return message_id in self._ids

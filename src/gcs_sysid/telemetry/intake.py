@@ -96,7 +96,7 @@ class Intake:
     @property
     def parameters(self) -> dict[str, float]:
         """The vehicle's parameters received so far."""
-        return self.decoder.parameters
+        return self.decoder.states.parameters
 
     @property
     def motor_order(self) -> MotorOrder:

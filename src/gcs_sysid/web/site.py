@@ -244,10 +244,6 @@ class Site:
                 "give another port, such as 8001"
             ) from error
 
-    def address(self, role: Role) -> str:
-        """Where the page is for a pilot or a viewer, with the token."""
-        return self.access.address(role)
-
     def stop(self) -> None:
         """End it; viewers are disconnected, their processes ended."""
         if self._loop is not None and self._thread.is_alive():
