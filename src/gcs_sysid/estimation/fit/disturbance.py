@@ -5,7 +5,8 @@ innovations shows whether there is a disturbance, and which whitener leaves noth
 loop has answered.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -113,12 +114,19 @@ class BankTrial:
         return error
 
 
-def curve_doubt(fit: RotationFit) -> Array:
+def curve_doubt(fit: RotationFit, window: Callable[[], RotationFit | None]) -> Array:
     """(N_UNKNOWNS, N_UNKNOWNS) of a fit by commands, for what a disturbance does to the curve.
 
-    Were the curve another, all unknowns would go with it.
+    Slow motion may see another curve, as in the wash of a quad that is flown hard. Were the curve
+    another, all unknowns would go with it.
+
+    Args:
+        fit: to rows of one step.
+        window: fits the symmetric window of the same flight.
     """
     if not fit.disturbance[:2].max() > RULES.detected:
         return np.zeros_like(fit.full_covariance)
-    off = along(fit.full_covariance, Unknown.CURVE, RULES.curve)
+    slow = window()
+    bent = 0.0 if slow is None else float((fit.unknowns - slow.unknowns)[Unknown.CURVE])
+    off = along(fit.full_covariance, Unknown.CURVE, math.hypot(RULES.curve, bent))
     return np.outer(off, off)

@@ -15,6 +15,7 @@ from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.tracking import Tracker
 from gcs_sysid.estimation.checks.validation import Validation
 from gcs_sysid.estimation.fit.disturbance import curve_doubt
+from gcs_sysid.estimation.fit.lag_places import rivals_doubt
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.offline.kept_rows import CommandRows, SpeedRows
@@ -106,7 +107,8 @@ def fit_offline(
         return f"the {what} predicts held-out parts of the flight worse"
     rotation = best.fit.rotation
     if place is not None:
-        doubt = _motor_doubt([estimated for estimated, _ in found], best, tracker.dt)
+        doubt = _motor_doubt([estimated for estimated, _ in found], tracker.dt)
+        doubt += curve_doubt(rotation, estimator.record.window_fit)
         rotation = replace(rotation.widened(doubt), lag_place=place, lag_doubt=doubt)
     own, apart = _widened(rotation, before)
     thrust, accelerometer = estimator.fit_translation(own)
@@ -140,20 +142,13 @@ def _rows(
     ]
 
 
-def _motor_doubt(found: Sequence[PredictionErrorFit], best: PredictionErrorFit, dt: float) -> Array:
-    """(N_UNKNOWNS, N_UNKNOWNS) covariance of what is not known of the motors.
-
-    By what another place of the lag leads to the best one may be off, with that place's
-    probability (Bayesian model averaging: Hoeting et al. 1999, Statistical Science 14, 382-417).
-    """
-    fit = best.fit.rotation
-    weight = np.exp([best.cost - other.cost for other in found])
-    away = np.stack([other.fit.rotation.unknowns for other in found]) - fit.unknowns
-    doubt: Array = (away * (weight / weight.sum())[:, None]).T @ away
+def _motor_doubt(found: Sequence[PredictionErrorFit], dt: float) -> Array:
+    """(N_UNKNOWNS, N_UNKNOWNS) covariance of what is not known of the motors."""
+    doubt = rivals_doubt([one.fit.rotation for one in found], [one.cost for one in found])
     # Delay and lag trade against each other within a sample.
     timing = [Unknown.DELAY, Unknown.LAG]
     doubt[timing, timing] += dt**2
-    return doubt + curve_doubt(fit)
+    return doubt
 
 
 def _is_worse(validation: Validation | None, online: Validation | None) -> bool:

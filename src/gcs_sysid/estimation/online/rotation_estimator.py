@@ -269,7 +269,7 @@ class RotationEstimator:
         record, commands = self._record, self._record.commands
         if commands is None or not fit.of_steps:
             return fit
-        off = commands.doubt + curve_doubt(fit)
+        off = commands.doubt + curve_doubt(fit, record.window_fit)
         mean = commands.mean_thrust
         if mean is not None and fit.disturbance.max() > RULES.detected:
             # Each rotor's mean thrust may be off by what asymmetry adds to it.

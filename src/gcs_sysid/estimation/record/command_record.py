@@ -18,7 +18,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
-from gcs_sysid.estimation.fit.disturbance import RULES
+from gcs_sysid.estimation.fit.lag_places import rivals_doubt
 from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD, N_UNKNOWNS, Unknown
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
@@ -181,7 +181,7 @@ class TunedRows:
 FIRST, LAST = 6.0, 120.0
 """s of flight from which motors are looked for, and from which they are known."""
 _SURE = 20.0
-"""s of flight, until which the search starts from the window too, not only from the fit before."""
+"""s of flight, from which what is ruled out as the place of the lag is not tried again."""
 _GROWTH = 2.0
 """By how much a flight grows until they are looked for again."""
 _CHECKED = 1.25
@@ -202,10 +202,8 @@ _AT_ONCE = 1000
 """Samples made into rows at a time."""
 
 _BETWEEN = 0.006
-"""s between commands, above which what was commanded in between counts: noise of the gyro that no
-sample shows looks like inertia to rows of one step, most of all where it is strong, and the curve
-of thrust to the symmetric window. By what both differ, either may be off. On PX4's simulator at
-125 Hz Ixx was 2 to 6 % too large, with intervals of 3 %."""
+"""s between commands, above which what was commanded in between counts: rows of one step take each
+for a straight line to the next."""
 _JUMPS = 1.0 / 16.0
 """Of the time between these, by which all jumps of commands together may seem late, one standard
 deviation: each falls anywhere between two, and a flight has some twenty. Damping is what such a
@@ -214,8 +212,6 @@ delay changes most: it was 20 to 30 % off at 100 Hz where jumps kept step with t
 _SAMPLES_A_ROW = 3
 """Means of faster samples show all that rows do, and less of what shakes the gyro."""
 _TIMING = np.array([Unknown.DELAY, Unknown.LAG])
-FitWindow = Callable[[], RotationFit | None]
-"""Fits the symmetric window of some instant."""
 _Samples = tuple[Array, Array, Array, Array, Array]
 """Commands, gyro and rates; D and w, as of `thrust_drift.Drift`."""
 
@@ -257,10 +253,6 @@ class CommandRecord:
         self._curve_doubt = 0.0
         self.narrowed = False
         """Whether rows have been made again, as of `WhitenedRecord`."""
-        self._apart = np.zeros(N_UNKNOWNS)
-        """By which estimates differ from those of the symmetric window."""
-        self._to_compare: tuple[FitWindow, Array] | None = None
-        """The window and estimates of the latest look, until it is asked how they differ."""
         self._settled: tuple[int, TunedRows, Array] | None = None
         self.doubt = np.zeros((N_UNKNOWNS, N_UNKNOWNS))
         """Error of an estimate from not knowing what lags."""
@@ -378,46 +370,24 @@ class CommandRecord:
             left -= n
         self._kept.append(None)
 
-    def tune(self, window: Callable[[], FitWindow] | None, hover: float) -> None:
+    def tune(self, hover: float) -> None:
         """Look for the motors, and make rows about them from the beginning.
 
         Args:
-            window: gives what fits the symmetric window, from which the first search starts; None:
-                it holds nothing.
             hover: mean command.
         """
         seconds = self._samples * self._dt
         self._next = min(max(_GROWTH * seconds, self._next), max(LAST, seconds + FIRST))
         self._check = _CHECKED * seconds
-        starts: list[tuple[Array, LagOf]] = []
-        if self._now is not None:
-            starts.append(self._start_from(self._now))
-        sought = self._now is None or seconds < _SURE
-        slow = window()() if sought and window is not None else None
-        if slow is not None and float(slow.r_squared[:2].min()) > _BELIEVED:
-            at = np.rint(slow.coordinates / (10.0 * _GRID)) * 10.0 * _GRID
-            starts.append((at, "speed" if slow.lag_place is None else slow.lag_place.of))
-        if not starts:
-            # Where slow motion is the air's, as in fast flight, quick motion may be the rotors'.
-            starts.append((COORDINATE_MEAN, LAGS_OF[0]))
-        last = seconds >= LAST
-        if last:
-            self._compare_with_window()
-        found = self._found(starts, hover)
+        start = (COORDINATE_MEAN, LAGS_OF[0]) if self._now is None else self._start_from(self._now)
+        found = self._found(start, hover)
         if found is not None:
-            self._now = found[0]
-            if sought or last:  # else what the window differs by is of an earlier look
-                self.doubt = found[1]
-            rotation = self._now.fit.rotation
+            self._now, self.doubt = found
             if not self._now.is_believed:
                 self._now = None
-            elif slow is not None:
-                self._apart, self._to_compare = rotation.unknowns - slow.unknowns, None
-            elif not (sought or last) and window is not None:
-                self._to_compare = window(), rotation.unknowns
             self.narrowed = True
-        if last:
-            self._kept = self._to_compare = None
+        if seconds >= LAST:
+            self._kept = None
 
     @contextmanager
     def settled(self, hover: float) -> Iterator[None]:
@@ -433,8 +403,7 @@ class CommandRecord:
                 start = (COORDINATE_MEAN, LAGS_OF[0])
                 if before is not None:
                     start, hover = self._start_from(before), before.maker.hover
-                self._compare_with_window()
-                found = self._found([start], hover)
+                found = self._found(start, hover)
                 if before is None and found is not None and not found[0].is_believed:
                     found = None
                 self._settled = (self._samples, *(found or (before, doubt)))
@@ -444,67 +413,31 @@ class CommandRecord:
         finally:
             self._now, self.doubt = before, doubt
 
-    def _compare_with_window(self) -> None:
-        """Find by how much the latest look's estimates differ from those of the window."""
-        if self._to_compare is not None:
-            (fit, unknowns), self._to_compare = self._to_compare, None
-            slow = fit()
-            if slow is not None:
-                self._apart = unknowns - slow.unknowns
-
-    def _found(
-        self, starts: Sequence[tuple[Array, LagOf]], hover: float
-    ) -> tuple[TunedRows, Array] | None:
-        """Rows about the likeliest motors, and what the other places of the lag, if any, differ by.
-
-        By that much they may be off with these places' probability (Bayesian model averaging:
-        Hoeting et al. 1999, Statistical Science 14, 382-417). A delay and lag that fast and slow
-        motion see differently are not of first order: by half of that they may be off too.
-        """
-        # Starts that are rounded to the same motors lead to the same.
-        unlike = {(*self._rounded(at).tolist(), of): (at, of) for at, of in starts}
-        every = [self._converged(at, of, hover, self._now) for at, of in unlike.values()]
-        first = min(
-            (tuned for tuned in every if tuned is not None),
-            key=lambda tuned: (not tuned.trusted, tuned.cost),
-            default=None,
-        )
+    def _found(self, start: tuple[Array, LagOf], hover: float) -> tuple[TunedRows, Array] | None:
+        """Rows about the likeliest motors, and what is not known of these."""
+        first = self._converged(*start, hover, self._now)
         if first is None:
             return None
-        tried, start = [first], first.fit.rotation.coordinates
+        tried, at = [first], first.fit.rotation.coordinates
         places = LAGS_OF if self._now is None else self._now.places
         for other in places:
             if other != first.basis.lag_place.of:
-                tuned = self._converged(start, other, hover, first, rival=True)
+                tuned = self._converged(at, other, hover, first, rival=True)
                 if tuned is not None:
                     tried.append(tuned)
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in tried if tuned.trusted] or tried[:1]
         cost = np.array([tuned.cost for tuned in found])
-        best = int(np.argmin(cost))
         # By all whiteners it may be another one that is likeliest.
-        while not self._has_all_whiteners(found[best]):
+        while not self._has_all_whiteners(found[best := int(np.argmin(cost))]):
             found[best] = self._with_all_whiteners(found[best], hover)
             cost[best] = found[best].cost
-            best = int(np.argmin(cost))
-        weight = np.exp(cost.min() - cost)
-        unknowns = np.stack([tuned.fit.rotation.unknowns for tuned in found])
-        away = unknowns - unknowns[best]
-        doubt = (away * (weight / weight.sum())[:, None]).T @ away
+        doubt = rivals_doubt([tuned.fit.rotation for tuned in found], cost.tolist())
         doubt += np.outer(found[best].away, found[best].away)
-        apart = self._apart
-        doubt[_TIMING, _TIMING] += (0.5 * apart[_TIMING]) ** 2
         if self._dt > _BETWEEN:
-            doubt += np.outer(apart, apart)
             known = found[best].fit.rotation.full_covariance
             late = np.linalg.solve(known[np.ix_(_TIMING, _TIMING)], [_JUMPS * self._dt, 0.0])
             off = known[:, _TIMING] @ late
-            doubt += np.outer(off, off)
-        elif found[best].fit.rotation.disturbance.max() > RULES.detected:
-            # Between commands less far apart there may be others too, of a loop of another rate:
-            # to rows of one step they are a disturbance.
-            bent = float(apart[Unknown.CURVE])
-            off = along(found[best].fit.rotation.full_covariance, Unknown.CURVE, bent)
             doubt += np.outer(off, off)
         # Delay and lag trade against each other within a sample: on three flights of PX4's
         # simulator the lag came out 3 to 5 ms short at 4 ms, the delay as much early.

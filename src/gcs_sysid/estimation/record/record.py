@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from copy import copy, deepcopy
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +15,7 @@ from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.fit.whitener_choice import explained_by
 from gcs_sysid.estimation.noise.whitening import bank_for
 from gcs_sysid.estimation.record import article_estimator as article
-from gcs_sysid.estimation.record.command_record import CommandRecord, FitWindow
+from gcs_sysid.estimation.record.command_record import CommandRecord
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
@@ -320,25 +320,18 @@ class FlightRecord:
     def _tune(self, commands: CommandRecord) -> None:
         noise = self.input_noise
         assert isinstance(noise, CommandNoise)
-        commands.tune(self._window if self.rotation.rows else None, noise.level[0])
+        commands.tune(noise.level[0])
 
-    def _window(self) -> FitWindow:
-        """Fits the symmetric window as it is now, whenever that is asked for."""
-        data, basis = deepcopy(self.window.moments(self._window_noise())), copy(self.basis)
-        places, doubt = self.places(), self.noise_doubt
-        independent = self.seconds / self.half_width
-
-        # A function, which copies of the record share, and not what it holds.
-        def fit() -> RotationFit | None:
-            found = fit_lag_places(
-                lambda first: fit_whitened(data, basis, first, doubt=doubt),
-                basis,
-                places,
-                independent,
-            )
-            return None if found is None else found.rotation
-
-        return fit
+    def window_fit(self) -> RotationFit | None:
+        """The fit to rows of the symmetric window, where commands have those of one step too."""
+        data, basis = self.window.moments(self._window_noise()), copy(self.basis)
+        found = fit_lag_places(
+            lambda first: fit_whitened(data, basis, first, doubt=self.noise_doubt),
+            basis,
+            self.places(),
+            self.seconds / self.half_width,
+        )
+        return None if found is None else found.rotation
 
     @property
     def seconds(self) -> float:
