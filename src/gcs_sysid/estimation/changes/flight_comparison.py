@@ -25,7 +25,8 @@ _MODEL_ERROR = 0.01
 """Share by which fits of one vehicle may differ beyond their intervals: the model's own error,
 with wind, inflow and temperature."""
 _KNOWN_TO = 0.25
-"""A parameter known less well than this share of its size is not compared."""
+"""A parameter known less well than this share of its size is not compared: the smaller of both, as
+what a flight hardly moves may come out next to nothing, with a deviation in proportion."""
 
 
 class Trial:
@@ -111,9 +112,9 @@ def is_another(before: Fit, now: Fit, arm: float, battery: float = 0.0) -> bool:
         own = np.array([[variance + _MODEL_ERROR**2]])
         parts.append((np.array([ratio - 1.0]), own, np.array([battery])))
     if a is not None and b is not None:
-        theta = a.theta
-        size = rb.counterparts(theta, arm)
-        known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < _KNOWN_TO * size[i]]
+        theta, size = a.theta, rb.counterparts(a.theta, arm)
+        least = _KNOWN_TO * np.minimum(size, rb.counterparts(b.theta, arm))
+        known = [i for i in _COMPARED if max(a.std[i], b.std[i]) < least[i]]
         covariance = _color(before) * a.covariance + _color(now) * b.covariance
         covariance += np.diag((_MODEL_ERROR * size) ** 2)
         moved = np.where(rb.RELATIVE, -battery * theta, 0.0)[known]
