@@ -67,6 +67,9 @@ CASES = {
     ("inspect", "json"): Case(("inspect", "{flight}", "--json", "{out}"), ".json", "HIGHRES_IMU"),
     ("check", "json"): Case(("check", *ON_LOG, "--json", "{out}"), ".json", "CG"),
     ("health", "json"): Case(("health", *ON_LOG, "--json", "{out}"), ".json", "CG"),
+    ("health", "params"): Case(
+        ("health", *ON_LOG, "--params", "{out}"), ".param", "CG", dash=False
+    ),
     ("params", "json"): Case(("params", *ON_LOG, "--json", "{out}"), ".json", "nothing is sent"),
     ("params", "output"): Case(
         ("params", *ON_LOG, "-o", "{out}"), ".param", "nothing is sent", dash=False

@@ -37,7 +37,7 @@ def files(flight, tmp_path_factory):
 @pytest.mark.slow
 def test_text_json_and_picture(flight, files):
     out = (files / "out.txt").read_text()
-    for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed"):
+    for word in ("CG along", "thrust share", "full thrust", "k_T", "assumed", "CA_ROTOR0_PX"):
         assert word in out
     # A path is as long as it is.
     lines = [line for line in out.splitlines() if not line.startswith("/")]
@@ -170,6 +170,7 @@ def one_line(capsys):
     ("options", "word"),
     [
         (["missing.tlog"], "missing.tlog"),
+        (["a.tlog", "--params", "p.csv"], ".params"),
         (["a.tlog", "--k-t", "1e-5"], "--airframe"),
         (["a.tlog", "--mass", "1", "--battery-mass", "2"], "--battery-mass"),
         (["a.tlog", "--baseline", "none.json"], "none.json"),

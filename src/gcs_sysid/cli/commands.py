@@ -534,10 +534,16 @@ COMMANDS = (
     Command(
         "health",
         "show CG, rotor loads and margins of any flight with a hover",
-        "Shows center of gravity, thrust share of each rotor and margins from any log with a "
-        "hover, at any message rate. Without --airframe the rotor positions come from the log.",
+        "Shows center of gravity, thrust share of each rotor, margins and suitable autopilot "
+        "parameters from any log with a hover, at any message rate. Without --airframe the rotor "
+        "positions come from the log.",
         (
             *OF_HOVER,
+            option(
+                "--params",
+                "FILE",
+                "autopilot parameters to set, as `params -o` writes them; nothing is sent",
+            ),
             option("--picture", "FILE.svg", "the vehicle from above, on a page"),
             FORCE,
         ),

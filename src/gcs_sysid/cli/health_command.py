@@ -1,7 +1,7 @@
 """`gcs-sysid health`: the vehicle's condition from any flight that hovers, in lines of text."""
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,13 @@ from gcs_sysid.cli import airframe_choice, output
 from gcs_sysid.cli.program import OneByOne
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import ReadLog
+from gcs_sysid.health.autopilot_parameters import (
+    Proposal,
+    check_suffix,
+    determined,
+    proposal_file,
+    proposed,
+)
 from gcs_sysid.health.health_file import condition_text, document_of, read_baseline
 from gcs_sysid.health.health_trend import series_of, trend_text
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, against_first
@@ -26,8 +33,10 @@ from gcs_sysid.results.words import PLAIN, TEXT_WIDTH, wrapped
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; 1 when nothing hovers in a log."""
-    targets = options.json, options.picture
+    targets = options.json, options.params, options.picture
     output.check_outputs(*targets, force=options.force, sources=options.logs)
+    if options.params is not None:
+        check_suffix(Path(options.params))
     found, failed = flights_of(options)
     usable = [health for health in found if health.available]
     _deliver(options, found, usable)
@@ -79,16 +88,20 @@ def given_of(options: argparse.Namespace) -> HealthOptions:
 
 
 def _deliver(options: argparse.Namespace, found: list[Health], usable: list[Health]) -> None:
-    """Texts and files; the picture is of the longest hover."""
+    """Texts and files; parameters are of all flights, the picture of the longest hover."""
     best = max(usable, key=lambda health: health.seconds, default=None)
     texts = [health_text(health) for health in found]
     if trend := trend_text(found):
-        texts.append("\n".join(trend))
+        texts.append("\n".join([*trend, *_parameters(proposed(usable), " (of all flights)")]))
     documents = [document_of(health) for health in found]
     files: list[tuple[str | None, Callable[[], str]]] = []
     if documents:
         document = documents[0] if len(options.logs) == 1 else documents
         files.append((options.json, lambda: output.as_json(document)))
+    if usable and options.params is not None:
+        suffix = Path(options.params).suffix.lower()
+        every = determined(usable)
+        files.append((options.params, lambda: proposal_file(usable, every, suffix)))
     if best is not None and options.picture is not None:
         from gcs_sysid.report.page import health_picture  # only who asks waits for it
 
@@ -115,7 +128,9 @@ def health_text(health: Health, *, answered: bool = False) -> str:
         others = (f"- {reason}" for reason in health.reasons[1:])
         return "\n".join([*answer, health.source, *others])
     foot = _foot(health, document["summary"]["action"])
-    return "\n".join([*answer, *_head(health, document), "", *_rotors(document), *foot])
+    parameters = _parameters(proposed([health]))
+    whole = [*_head(health, document), "", *_rotors(document), *parameters, *foot]
+    return "\n".join([*answer, *whole])
 
 
 def answer_lines(answer: Mapping[str, str], width: int) -> list[str]:
@@ -175,6 +190,19 @@ def _rotors(document: Mapping[str, Any]) -> Iterator[str]:
     yield "".join(f"{name:>14}" if i else f"{name:<6}" for i, name in enumerate(columns))
     for number, rotor in enumerate(document["rotors"], 1):
         yield f"{number:<6}" + "".join(f"{cell:>14}" for cell in rotor_cells(rotor, "m/s^2"))
+
+
+def _parameters(found: Sequence[Proposal], of: str = "") -> Iterator[str]:
+    if not found:
+        return
+    yield ""
+    yield f"Autopilot parameters that fit{of} (`gcs-sysid params` says which to set)"
+    for one in found:
+        assert one.quantity is not None
+        half = one.quantity.half or 0.0
+        now = "" if one.now is None else f"  now {one.now:.4g}"
+        interval = f" ± {half:.3f}" if half else ""
+        yield f"  {one.name:<{_NAME - 2}}{one.quantity.value:.3f}{interval}{now}"
 
 
 def _foot(health: Health, first: str) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """What flights determine of the autopilot's parameters, and files that ground stations load.
 
-The one place for that: `params`, `health`, `batch` and `trend` show what is here; `params` alone
-writes it, as a value that fits need not be nearer to the truth than what is there.
+The one place for that: `params`, `health`, `batch` and `trend` show what is here. Files hold what
+is to be set alone, as a value that fits need not be nearer to the truth than what is there.
 
 Conventions, by the autopilots' own sources and parameter descriptions:
 
