@@ -94,3 +94,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
     near = difflib.get_close_matches(word, list(known), 1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def authority(host: str, port: int) -> str:
+    """Host and port as in an address."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

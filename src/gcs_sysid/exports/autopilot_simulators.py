@@ -26,7 +26,6 @@ where the simulator begins.
 """
 
 import functools
-import json
 import math
 from collections.abc import Iterable
 from itertools import pairwise
@@ -41,6 +40,7 @@ from gcs_sysid.model.attitude import to_euler
 from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import GRAVITY, INERTIA
 from gcs_sysid.signals.sampling import SampleBlock
+from gcs_sysid.strict_json import json_text
 
 _SIH_OPTIONAL = {
     "SIH_KDV": "linear_drag",
@@ -286,7 +286,7 @@ def mission(blocks: Iterable[SampleBlock], place: tuple[float, float, float], px
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
     }  # fmt: skip
-    return json.dumps(plan, indent=1) + "\n"
+    return json_text(plan, indent=1) + "\n"
 
 
 def _legs(t: Array, way: Array, off: float) -> list[int]:

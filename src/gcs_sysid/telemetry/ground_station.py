@@ -7,12 +7,12 @@ the analysis of a recording ends with the live session's numbers.
 from pathlib import Path
 from typing import Any
 
+from gcs_sysid.errors import authority
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.parameter_requests import ParameterRequests
 from gcs_sysid.telemetry.requests import StreamRequests
 from gcs_sysid.telemetry.signing import Refusal
 from gcs_sysid.telemetry.transceiver import Port, Rival
-from gcs_sysid.telemetry.urls import authority
 from gcs_sysid.telemetry.wanted_streams import StreamRestoration
 
 _REFUSED = {

@@ -67,11 +67,6 @@ class LinkUrl:
         return self.text
 
 
-def authority(host: str, port: int) -> str:
-    """Host and port as in an address."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-
-
 def _takes_any_rate(device: str) -> bool:
     real = os.path.realpath(device)  # /dev/serial/by-id/... and socat's names are links
     return bool(_ANY_RATE.match(real))

@@ -23,9 +23,8 @@ from typing import Any, Literal, Protocol
 
 from aiohttp import web
 
-from gcs_sysid.errors import GcsSysidError, InputError, in_words, one_line
+from gcs_sysid.errors import GcsSysidError, InputError, authority, in_words, one_line
 from gcs_sysid.report.parts import asset
-from gcs_sysid.telemetry.urls import authority
 
 Role = Literal["pilot", "viewer"]
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
