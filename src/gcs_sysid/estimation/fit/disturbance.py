@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.estimation.fit.priors import Unknown
+from gcs_sysid.estimation.fit.priors import COORDINATE_STD, Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.noise.whitening import Whitener
 from gcs_sysid.model import rigid_body as rb
@@ -117,8 +117,8 @@ class BankTrial:
 def curve_doubt(fit: RotationFit, window: Callable[[], RotationFit | None]) -> Array:
     """(N_UNKNOWNS, N_UNKNOWNS) of a fit by commands, for what a disturbance does to the curve.
 
-    Slow motion may see another curve, as in the wash of a quad that is flown hard. Were the curve
-    another, all unknowns would go with it.
+    Slow motion may see another curve, as in the wash of a quad that is flown hard; it is not less
+    certain than before the flight. Were the curve another, all unknowns would go with it.
 
     Args:
         fit: to rows of one step.
@@ -127,6 +127,7 @@ def curve_doubt(fit: RotationFit, window: Callable[[], RotationFit | None]) -> A
     if not fit.disturbance[:2].max() > RULES.detected:
         return np.zeros_like(fit.full_covariance)
     slow = window()
-    bent = 0.0 if slow is None else float((fit.unknowns - slow.unknowns)[Unknown.CURVE])
+    bent = 0.0 if slow is None else abs(float((fit.unknowns - slow.unknowns)[Unknown.CURVE]))
+    bent = min(bent, float(COORDINATE_STD[Unknown.CURVE - rb.N_THETA]))
     off = along(fit.full_covariance, Unknown.CURVE, math.hypot(RULES.curve, bent))
     return np.outer(off, off)
