@@ -39,6 +39,8 @@ from gcs_sysid.telemetry.urls import LinkUrl
 GATHER, FEW = 0.004, 64
 """s in which datagrams gather in the system's buffer, after fewer frames than that: waking for each
 costs most."""
+_OF_RECEPTION = ("follow", "mark_reset", "start_recording", "stop_recording", "cut_recording")
+"""Orders that are its methods; it has others, as a transceiver, which are none."""
 
 
 class Outbox:
@@ -201,7 +203,7 @@ class ReceiverMain:
                 threading.Thread(target=self._flush, args=arguments, daemon=True).start()
             case "finish":
                 self._finish()
-            case _:
+            case _ if name in _OF_RECEPTION:
                 getattr(self._reception, name)(*arguments)
         self._reported = -float("inf")
 

@@ -1,7 +1,7 @@
 """A session on a page: snapshots go out, what a pilot asks for goes in.
 
-What may be asked for is what the terminal's screen offers, by name; it
-goes into the session's command queue as from there. Nothing here knows a link or a message.
+What may be asked for is what the terminal's screen offers, by name; it goes into the session's
+command queue as from there. Nothing here knows a link or a message.
 """
 
 import asyncio
