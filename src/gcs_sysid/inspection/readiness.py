@@ -191,10 +191,10 @@ def _rotors(found: Inspection) -> Iterator[Objection]:
         text = f"the vehicle type does not define the number of rotors: {found.rotors} assumed"
         yield _note(text, "give --rotors N, or --airframe")
     if chosen is None:
-        if not found.rotor_input.judged and any(_is_quick(s) for s in found.rotor_sources):
+        reasons, slow = found.rotor_input.reasons, not any(map(_is_quick, found.rotor_sources))
+        if not slow and not (found.rotor_input.judged and reasons):
             return  # what flight would show; that there was none is reported separately
-        slow = not any(map(_is_quick, found.rotor_sources))
-        why = "; ".join(found.rotor_input.reasons) or "; ".join(
+        why = "; ".join(reasons) or "; ".join(
             f"{source.message} comes at {source.rate or 0.0:.1f} Hz"
             for source in found.rotor_sources
         )
