@@ -137,14 +137,16 @@ def minimize(problem: Minimized[At], unknowns: Array, limit: int) -> tuple[At, M
         The minimizers, and (K,) whether each was reached.
     """
     K = len(unknowns)
-    start = problem.evaluate(unknowns)
-    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), limit)
+    start, nowhere = problem.evaluate(unknowns), np.zeros(K, dtype=bool)
+    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), nowhere, limit)
 
 
 def _descend(
-    problem: Minimized[At], point: At, damping: Array, gain: Array, limit: int
+    problem: Minimized[At], point: At, damping: Array, gain: Array, beside: Mask, limit: int
 ) -> tuple[At, Mask]:
-    """The steps of `minimize`, with (K,) damping and (K,) gain of the step before."""
+    """The steps of `minimize`, with (K,) damping, gain and whether it went along the edge of the
+    step before.
+    """
     converged, stopping = np.zeros(len(damping), dtype=bool), problem.stopping
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)
@@ -156,8 +158,9 @@ def _descend(
         step, downhill, H = _step(hessian, gradient, d, damping)
         candidate = problem.moved(point.unknowns, step / d)
         allowed = problem.are_allowed(candidate)
-        # Long steps lead outside before a search is near; bent, they would end at the edge.
-        outside = ~allowed & (damping >= 1.0)
+        # Long steps lead outside before a search is near; bent, they would end at the edge. From
+        # there on it goes along it.
+        outside = ~allowed & (beside | (damping >= 1.0))
         if outside.any():
             step = _along_edge(problem, point.unknowns, step, d, H, outside)
             candidate = problem.moved(point.unknowns, step / d)
@@ -175,11 +178,12 @@ def _descend(
         unseen = (gain < stopping.unseen**2) & (damping <= stopping.shortened)
         better = allowed & ((fall >= 0.0) | unseen) & ~converged
         point = point.where(better, tried)
+        beside = np.where(better, outside, beside)
         poor = (stopping.poor > 0.0) & ~small & (fall < stopping.poor * gain)
         factor = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
         damping = np.maximum(factor * damping, _LEAST_DAMPING)
         # Where no step however small helps any more, rounding has the last word.
-        converged = converged | small | (damping > _MOST_DAMPING)
+        converged = converged | (small & (better | ~outside)) | (damping > _MOST_DAMPING)
         if converged.all():
             break
         if 2 * np.count_nonzero(converged) >= len(converged):
@@ -189,6 +193,7 @@ def _descend(
                 point.part(left),
                 damping[left],
                 gain[left],
+                beside[left],
                 limit - taken,
             )
             point, converged[left] = point.filled(left, rest[0]), rest[1]
