@@ -158,6 +158,13 @@ def test_a_pole_count_that_all_have_wrong_is_seen_by_the_imu(factor):
     assert factor_of(imu, factor * speeds) == factor_of(imu, factor * speeds, parts=170)
 
 
+def test_lines_are_seen_after_rotors_that_hardly_turned():
+    """Of the first sample 64 turns take longer than the flight."""
+    imu, speeds = shaken()
+    speeds[0] *= 1e-3
+    assert factor_of(imu, speeds) == factor_of(imu, speeds, parts=170) == 1.0
+
+
 def test_no_line_is_seen_where_none_goes_with_the_speeds():
     assert factor_of(*shaken(lines=False)) is None
     imu, speeds = shaken()

@@ -99,23 +99,26 @@ class RotorLines:
         if dt != self._dt or not self._length:
             if not turns.any():
                 return
-            first = int(turns.argmax())
-            rows, fresh, self._dt = rows[first:], True, dt
-            self._restart(self._turned(rows[0]))
+            rows, fresh, self._dt = rows[int(turns.argmax()) :], True, dt
+            turn = 2.0 * math.pi / (float(rows[0, 6:].mean()) * dt)
+            self._restart(max(round(self._TURNS * turn), 1))
         rest = rows if fresh else np.concatenate([self._rest, rows])
-        while self._length <= len(rest):
-            piece, rest = np.split(rest, [self._length])
-            if not (np.isfinite(piece[:, :3]).all() and (piece[:, 6:] > 0.0).all()):
+        while len(rest):
+            piece = rest[: self._length]
+            flown = np.where(complete_rows(piece[:, :3]), piece[:, 6:].mean(axis=1), 0.0)
+            turned = np.cumsum(np.nan_to_num(flown)) * dt / (2.0 * math.pi)
+            if turned[-1] > 2 * self._TURNS:  # they idled, or hardly turned, before
+                at = int(np.searchsorted(turned, 2 * self._TURNS)) + 1
+                self._restart(max(at // 2, 1))
+                rest = rest[at:]
                 continue
-            if 2 * self._turned(piece.mean(axis=0)) < self._length:  # they idled before
-                self._restart(self._turned(piece.mean(axis=0)))
-            elif self._length >= 0.5 * self._TURNS:  # else too slow an IMU even for folded lines
+            if len(piece) < self._length:
+                break
+            rest = rest[self._length :]
+            sound = np.isfinite(piece[:, :3]).all() and (piece[:, 6:] > 0.0).all()
+            if sound and self._length >= 0.5 * self._TURNS:  # else too slow even for folded lines
                 self._keep(piece)
         self._rest = rest
-
-    def _turned(self, row: Array) -> int:
-        """Samples in which rotors turn as often as in a piece."""
-        return max(round(2.0 * math.pi * self._TURNS / (float(row[6:].mean()) * self._dt)), 1)
 
     def _keep(self, piece: Array) -> None:
         if self._passed % self._every == 0:
