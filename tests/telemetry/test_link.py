@@ -127,6 +127,7 @@ def test_the_baud_rate_limits_where_it_is_one(text, baud, limit):
         ("/dev/ttyUSB0,fast", "baud rate must be a number"),
         ("/dev/ttyUSB0,0", "baud rate must be positive"),
         ("flight.tlog", "use gcs-sysid analyze"),
+        ("udpin:0.0.0.0:14550?x", "what is behind ? is not understood: write udpin:0.0.0.0:14550"),
     ],
 )
 def test_a_bad_name_gives_its_line(text, says):

@@ -24,6 +24,8 @@ _SERIAL_KINDS = ("serial", "serial_flowcontrol", "serial-hwfc", "uart")
 _SENT_TO_MANY = ("mcast", "udpbcast", "udp-b", "udp-pb")
 """Of pymavlink and MAVROS: to all of a group or network, also from here, where one is answered."""
 _SERIAL_NAME = re.compile(r"/dev/|/tmp/|COM\d+$|\\\\\.\\COM\d+$", re.IGNORECASE)
+_OWN_IDS = re.compile(r"ids=\d+,\d+")
+"""Behind a link of MAVROS: its own system and component, which ours are not."""
 _RATE_BEHIND = re.compile(r"(.+[^:/\s])[:@\s]\s*(\d{4,})")
 """A device and its baud rate: ports of hubs, which names end in too, have fewer digits."""
 _IN_DEV = re.compile(r"(tty|cu\.)\w")
@@ -85,7 +87,10 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
         raise InputError(f"no link given: use {FORMS}")
     if not text.isprintable():
         raise InputError(f"cannot understand the link {text!r}: a name is one line of text")
-    plain = text.partition("?")[0]  # MAVROS has options behind
+    is_log = Path(text).suffix.lower() in ANY_SUFFIX
+    plain, asked, options = text.partition("?")
+    if asked and not (_OWN_IDS.fullmatch(options) or is_log):
+        raise InputError(f"{text}: what is behind ? is not understood: write {plain}")
     kind, colon, rest = plain.partition(":")
     kind, slashes, rest = kind.lower(), rest.startswith("//"), rest.removeprefix("//")
     if colon and kind in _NETWORK_KINDS:
@@ -103,7 +108,7 @@ def parse_url(text: str, baud: int | None = None) -> LinkUrl:
             "(mavproxy.py --master=LINK --out=127.0.0.1:14550) send to this computer, then use "
             "udpin:0.0.0.0:14550"
         )
-    if Path(text).suffix.lower() in ANY_SUFFIX:
+    if is_log:
         raise InputError(f"{text} is a log, not a link: use gcs-sysid analyze {text}")
     own_text = rest if kind in _SERIAL_KINDS and colon else plain
     device, comma, own_baud = own_text.partition(",")
