@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from gcs_sysid.cli.inspect_command import report
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
 from gcs_sysid.inspection.stream_watch import (
     CHUNK,
@@ -161,19 +162,21 @@ def test_without_an_airframe_the_vehicles_type_tells_how_many_rotors(fly):
     assert any("lacks rotor 7 of 8" in reason for reason in eight.rotor_input.reasons)
 
 
-def flown(*speeds, vehicle_type):
+def flown(*speeds, vehicle_type, source="ESC_STATUS", parameters=()):
     """Inspects 12 s of flight with these rotor speeds, varied a little."""
     intake = Intake()
     intake.selector.chosen = MavlinkSystem(1, 1, vehicle_type, 12)
+    intake.parameters.update(parameters)
     inspector = Inspector(intake)
     records = []
+    stream = Stream.ROTOR_SPEED if source == "ESC_STATUS" else Stream.ROTOR_COMMAND
     for i in range(1200):
         t = 1.0 + 0.01 * i
         if i % 50 == 0:
             records.append(Record(Stream.IN_AIR, t, (1.0,)))
         records.append(Record(Stream.IMU, t, (0.001 * math.sin(i),) + (0.0,) * 4 + (-9.8,)))
         values = tuple(v + v / 50.0 * math.sin(i * (k + 1)) for k, v in enumerate(speeds))
-        records.append(Record(Stream.ROTOR_SPEED, t, values, 0, "ESC_STATUS"))
+        records.append(Record(stream, t, values, 0, source))
     inspector.add_records(block_of(records))
     return inspector.finish("made", "tlog")
 
@@ -190,6 +193,14 @@ def test_a_dead_rotor_is_refused_as_by_analyze():
     assert not found.rotors_assumed
     assert found.rotor_input.chosen is None
     assert "rotor 3 reads 0 while the others move" in texts(found, "blocks")
+
+
+def test_a_motor_whose_output_is_not_sent_is_not_said_to_read_nothing():
+    """As of MAVLink 1, which has eight outputs."""
+    outputs = {f"PWM_MAIN_FUNC{output}": 101.0 + i for i, output in enumerate((1, 2, 3, 9))}
+    found = flown(*[500.0] * 8, vehicle_type=2, source="SERVO_OUTPUT_RAW", parameters=outputs)
+    row = next(line for line in report(found, 80).splitlines() if line.startswith("  4 "))
+    assert row.split() == ["4", "-", "-", "-", "not", "sent"]
 
 
 # Whole recordings of the emulator.

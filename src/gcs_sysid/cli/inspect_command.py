@@ -1,6 +1,7 @@
 """`gcs-sysid inspect`: what is in a log or on a link, and whether it can be identified from."""
 
 import argparse
+import math
 import shutil
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -292,10 +293,13 @@ def _rotors(found: Inspection, width: int) -> list[str]:
 
 def _rotor_rows(source: RotorMessage) -> Iterable[str]:
     scale = 1.0 if source.kind.motors else 1.0 / RPM
-    digits = 3 if scale == 1.0 and max(rotor.high for rotor in source.rotors) < 10.0 else 0
+    sent = [rotor.high for rotor in source.rotors if math.isfinite(rotor.high)]
+    digits = 3 if scale == 1.0 and max(sent, default=0.0) < 10.0 else 0
     for motor, rotor in enumerate(source.rotors, 1):
         values = "".join(f"{scale * v:>9.{digits}f}" for v in (rotor.low, rotor.mean, rotor.high))
         dead = "  dead" if motor in source.dead else ""
+        if not math.isfinite(rotor.high):
+            values, dead = 3 * f"{'-':>9}", "  not sent"
         yield f"  {motor:<{_NAME - 2}}{values}{dead}"
 
 

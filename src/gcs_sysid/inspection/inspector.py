@@ -290,13 +290,13 @@ class Inspector:
         return tuple(found)
 
 
-_SILENT = RotorFacts(0.0, 0.0, 0.0, 100.0)
+_SILENT = RotorFacts(math.nan, math.nan, math.nan, 100.0)
 """Of which nothing comes, though others do."""
 
 
 def _used(rotor: RotorFacts) -> bool:
     """Whether an output drives something, where the vehicle's type does not give the number."""
-    return rotor.low != rotor.high
+    return rotor.low < rotor.high
 
 
 def _in_table_order(entry: tuple[Key, StreamWatch]) -> tuple[int, int, int]:
