@@ -133,6 +133,15 @@ def test_scales_of_the_gyro(read, settings, unit):
     assert of(recording, Stream.IMU).values[1, 0] == pytest.approx(unit, rel=2e-3)
 
 
+@pytest.mark.parametrize("lacks", ["gyro_scale", "acc_1G"])
+def test_a_line_of_the_header_that_lacks_is_named(read, lacks):
+    fields = {"gyroADC": (3, lambda k: (k, 0, 0)), "accSmooth": (3, lambda k: (0, 0, 2048))}
+    assert read(log_of(fields)).problems == ()
+    settings = {name: value for name, value in SETTINGS.items() if name != lacks}
+    (problem,) = read(log_of(fields, settings=settings)).problems
+    assert f"has no {lacks}" in problem
+
+
 def test_a_gyro_without_accelerometer_is_of_use(read):
     recording = read(log_of({"gyroADC": (3, lambda k: (1, 2, 3))}, settings={}))
     imu = of(recording, Stream.IMU).values

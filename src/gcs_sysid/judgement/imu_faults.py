@@ -220,6 +220,8 @@ def _remedy(found: Saturated, parameters: Mapping[str, float]) -> str:
 def _accelerometer_on(parameters: Mapping[str, float]) -> str:
     """What makes an accelerometer be read and logged, by what Betaflight has in its header."""
     line = ""
+    if "acc_hardware" in parameters and "acc_1G" not in parameters:
+        return "put acc_1G, which scales it, back into the log's header: the firmware writes it"
     if parameters.get("acc_hardware") == _NO_ACCELEROMETER:
         line = " (in the CLI: set acc_hardware = AUTO, then save)"
     elif "fields_disabled_mask" in parameters:

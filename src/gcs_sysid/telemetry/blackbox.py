@@ -237,7 +237,11 @@ class _SessionReader:
         acc = self._first_of("accUnfiltered", "accSmooth")
         if gyro is None:
             return
-        one_g = self._header.number("acc_1G", 0.0)
+        known, one_g = self._header.values, self._header.number("acc_1G", 0.0)
+        if not known.keys() & {"gyro_scale", "gyro.scale"}:
+            recording.problems += ("its header has no gyro_scale: deg/s are assumed of the gyro",)
+        if acc is not None and "acc_1G" not in known:
+            recording.problems += ("its header has no acc_1G: accelerations have no scale",)
         force = (
             np.full_like(gyro, np.nan) if acc is None or one_g <= 0.0 else acc * (GRAVITY / one_g)
         )
