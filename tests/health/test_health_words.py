@@ -90,6 +90,17 @@ def test_a_cg_that_an_analysis_only_guesses_decides_nothing():
     assert SIDES in shown.findings[0].what
 
 
+@pytest.mark.parametrize(("status", "std"), [("identified", 3e-8), ("weak", 2e-6)])
+def test_beside_an_analysis_there_is_one_k_T(status, std):
+    found = {"k_T": Estimate(1.1e-5, std, "N s^2", status)}
+    hovered = replace(HEALTH, scale=("k_T", Quantity(1e-5, 1e-8, "N s^2")))
+    for verdict in ("partial", "refused"):
+        shown = beside_analysis(hovered, result_of(found, verdict=verdict))
+        assert (shown.scale[1].value, shown.scale[1].std) == (1.1e-5, std)
+    unseen = {"k_T": Estimate(None, None, "N s^2", "unobservable")}
+    assert beside_analysis(hovered, result_of(unseen)).scale == hovered.scale
+
+
 def test_speeds_beside_commands_or_moments_decide_between_cg_and_rotors():
     alike = replace(HEALTH, rotors=loaded(0.2, 0.3, 0.2, 0.3, gain=1.0))
     by_hover = (replace(AFT, std=0.01), replace(CENTERED, std=0.01))

@@ -128,7 +128,7 @@ def test_an_accelerometer_that_reads_zero_shows_no_hover(airframe):
         ({"mass": 1400.0}, "1400 kg is implausible for an arm of 0.3 m"),
         ({"mass": 0.02}, "0.02 kg is implausible"),
         ({"k_T": 2e-9}, "kg is implausible for an arm"),
-        ({"mass": 60.0}, "takes rotors that do not fit"),
+        ({"mass": 30.0}, "takes rotors that do not fit"),
     ],
 )
 def test_what_cannot_be_given_together_is_named_and_no_scale_comes_of_it(airframe, given, what):
@@ -141,13 +141,28 @@ def test_what_cannot_be_given_together_is_named_and_no_scale_comes_of_it(airfram
 
 def test_what_is_in_proportion_to_an_assumed_unit_is_no_number(airframe):
     known, streams = airframe.with_anchor("mass", 1.5), streams_of(flight(), airframe, "px4", {})
-    streams = replace(streams, speeds=replace(streams.speeds, source="eRPM"))
-    for poles, is_assumed in ((None, True), (14.0, True), (12.0, False)):
-        parameters = {} if poles is None else {"motor_poles": poles}
-        guess = GuessedAirframe(known, "given")
-        health = health_of(streams, guess, HealthOptions(known), parameters)
-        assert any("14 poles" in text for text in health.assumptions) is is_assumed
-        assert (health.scale is None) is is_assumed
+    guess = GuessedAirframe(known, "given")
+    dshot = {"MOT_PWM_TYPE": 6.0, "SERVO_BLH_POLES": 28.0}
+    for source, parameters, said in (
+        ("eRPM", {}, "14 poles"), ("eRPM", {"motor_poles": 14.0}, "14 poles"),
+        ("eRPM", {"motor_poles": 28.0}, "28 poles"), ("omegaUnfiltered", {"motor_poles": 28.0}, ""),
+        ("ESC", dshot, "28 poles"), ("ESC", {"MOT_PWM_TYPE": 0.0, "SERVO_BLH_POLES": 28.0}, ""),
+        ("esc_status", {"PWM_AUX_FUNC1": 101.0, "PWM_AUX_TIM0": -4.0}, "14 poles"),
+    ):  # fmt: skip
+        read = replace(streams, speeds=replace(streams.speeds, source=source))
+        health = health_of(read, guess, HealthOptions(known), parameters)
+        assert any(said and said in text for text in health.assumptions) is bool(said)
+        assert (health.scale is None) is bool(said)
+
+
+def test_rad_s_in_a_field_of_rpm_are_read_as_by_an_analysis(airframe):
+    known = airframe.with_anchor("mass", 1.5)
+    streams = streams_of(flight(), airframe, "px4", {})
+    slow = tuple((t, 0.1 * v) for t, v in streams.speeds.samples)
+    streams = replace(streams, speeds=replace(streams.speeds, samples=slow))
+    health = health_of(streams, GuessedAirframe(known, "given"), HealthOptions(known), {})
+    assert "read as rad/s" in health.findings[0].what
+    assert health.scale is None
 
 
 @pytest.mark.parametrize("commands", ["alone", "beside"])

@@ -113,6 +113,7 @@ WRONG = {
     "T_max is text": ("T_max = '5'\n" + ROTORS, "T_max"),
     "two anchors": ("mass = 1\nk_T = 1e-4\n" + ROTORS, "mass and k_T"),
     "rotor_input": ("rotor_input = 'rpm'\n" + ROTORS, "rotor_input"),
+    "poles": ("motor_poles = 13\n" + ROTORS, "motor_poles must be even"),
     "name is a number": ("name = 5\n" + ROTORS, "name"),
     "no rotors": ("mass = 1\n", "[[rotor]]"),
     "three rotors": (ROTORS.rsplit("[[rotor]]", 1)[0], "[[rotor]]"),

@@ -380,6 +380,13 @@ def test_a_unit_that_firmware_defines_is_not_guessed(source, low):
     )
 
 
+def test_poles_that_were_counted_are_given_and_no_assumption():
+    t, _u, v = signals()
+    rotor_selector = judged(speeds(v, t, "eRPM"), airframe=replace(PAPER, motor_poles=12))
+    assert rotor_selector.choice.scale == pytest.approx(14.0 / 12.0)
+    assert rotor_selector.assumed(rotor_selector.choice) == ""
+
+
 def test_stopped_is_zero():
     # Curves between samples pass a little below and above.
     outputs = np.array([900.0, 600.0, 0.0, 1000.0, 1500.0, 2000.0, 990.0, 2010.0])

@@ -25,13 +25,13 @@ from gcs_sysid.health.drive_health import (
     vibration_of,
     with_throttle,
 )
-from gcs_sysid.health.hover import Windows, flight_of, lines_of, sensors_of, windows_of
+from gcs_sysid.health.hover import Windows, during, flight_of, lines_of, sensors_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits, of_spins, of_turning, too_fast
+from gcs_sysid.judgement.plausibility import misfits, of_reading, of_spins, of_turning, too_fast
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
@@ -41,7 +41,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import assumed_unit, unseen_scale
+from gcs_sysid.signals.rotor_units import RADIANS, assumed_unit, speed_scale, unseen_scale
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _AS_FLOWN = (
@@ -238,10 +238,16 @@ def health_of(
         parameters: the autopilot's.
         span: s between which windows count.
     """
-    airframe = guess.airframe
+    airframe, scale = guess.airframe, 1.0
     if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
     flight = flight_of(streams, len(airframe.rotors))
+    if (speeds := streams.speeds) is not None and len(flight[0]):
+        flown = [v[during(flight, t)] for t, v in speeds.samples]
+        mass = airframe.mass if all(map(len, flown)) and not guess.arm_std else None
+        scale = speed_scale(speeds.source, flown, airframe, mass, parameters)
+        read = tuple((t, scale * v) for t, v in speeds.samples)
+        streams = replace(streams, speeds=replace(speeds, samples=read))
     gyro, saturated = sensors_of(streams, flight)
     sensors = tuple(of_sensors(gyro, saturated, parameters))
     # A gyro that misreads contradicts any motor order.
@@ -305,8 +311,8 @@ def health_of(
     places = [place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
-    unfit = tuple(_misfits(health, guess))
-    seen = health.turning is not None
+    unfit = (*_misfits(health, guess), *of_reading(reread=scale == RADIANS))
+    seen = health.turning is not None or airframe.motor_poles is not None
     assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
     open_range = ""
     if commands is not None:  # beside speeds too
@@ -356,7 +362,7 @@ def beside_analysis(health: Health, result: Result) -> Health:
         health: of the same log and airframe.
         result: of the analysis.
     """
-    health = _as_identified(health, result)
+    health = _as_identified(_of_one_scale(health, result), result)
     blamed = (objection for objection in result.objections if objection.by == ROTORS)
     refused = next(blamed, None) if result.verdict == "refused" else None
     if refused is None or health.contradicted or not health.available:
@@ -373,17 +379,23 @@ def beside_analysis(health: Health, result: Result) -> Health:
     )
 
 
+def _of_one_scale(health: Health, result: Result) -> Health:
+    """With the analysis' k_T or T_max, where it has one, with its interval."""
+    if health.scale is None or (found := result.parameters.get(health.scale[0])) is None:
+        return health
+    name, of_hover = health.scale
+    if found.status == "unobservable" or (known := found.known) is None:
+        return health
+    return replace(health, scale=(name, known if known.unit == of_hover.unit else of_hover))
+
+
 def _as_identified(health: Health, result: Result) -> Health:
-    """With what the analysis knows better: the CG, the scale, and rotors that are unlike."""
+    """With what the analysis knows better: the CG, and rotors that are unlike."""
     if health.cg is None or result.verdict == "refused":
         return health
     x, y = _better(result, "cg_x", health.cg[0]), _better(result, "cg_y", health.cg[1])
     if x is not None and y is not None:
         health = replace(health, cg=(x, y), cg_of_hover=health.cg)
-    if health.scale is not None:
-        name, of_hover = health.scale
-        scale = _better(result, name, of_hover)
-        health = health if scale is None else replace(health, scale=(name, scale))
     # Whether rotors are unlike, moments and yaw of all the flight show the analysis alone.
     unlike = tuple(objection for objection in result.objections if objection.by == READINGS)
     own = (each for each in health.doubts if each.by != READINGS)

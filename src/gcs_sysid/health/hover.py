@@ -495,14 +495,20 @@ def sensors_of(
     return check.result(), saturation.found()
 
 
+def during(flight: tuple[Array, Mask], t: Array) -> Mask:
+    """(n,) whether it flew at (n,) s, by what `flight_of` gives of any flight."""
+    grid, flying = flight
+    out: Mask = flying[np.clip(np.searchsorted(grid, t, side="right") - 1, 0, None)]
+    return out
+
+
 def lines_of(streams: Streams, flight: tuple[Array, Mask], spin: Array) -> RotorLines:
     """What the IMU shows of the speeds read in flight, by rotors of (rotors,) 1 or -1."""
-    lines, (grid, flying) = RotorLines(spin), flight
-    if streams.speeds is None or not len(grid):
+    lines = RotorLines(spin)
+    if streams.speeds is None or not len(flight[0]):
         return lines
     (t, imu), dt = streams.tracks[Stream.IMU], 1.0 / streams.rate(Stream.IMU)
-    flies = flying[np.clip(np.searchsorted(grid, t, side="right") - 1, 0, None)]
-    felt = np.where(flies[:, None], imu[:, :6], np.nan)
+    felt = np.where(during(flight, t)[:, None], imu[:, :6], np.nan)
     speeds = np.column_stack([np.interp(t, *rotor) for rotor in streams.speeds.samples])
     ends = np.flatnonzero(np.diff(t) > 2.5 * dt) + 1
     for first, stop in pairwise([0, *ends.tolist(), len(t)]):

@@ -18,7 +18,7 @@ from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import RotorSource
+from gcs_sysid.signals.rotor_units import RADIANS, RotorSource
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.telemetry.clock import JUMP_BACK
 from gcs_sysid.telemetry.monitor import Counts, SampleLoss
@@ -132,7 +132,7 @@ class ChainWatch:
         if believed is None:
             return ChosenSource(None, tuple(reasons), rotor_selector.judged)
         assumed = rotor_selector.assumed(believed, seen=True)  # no IMU is looked at for lines
-        if believed.kind.motors or believed.scale != 1.0 or assumed:
+        if believed.kind.motors or believed.scale == RADIANS or assumed:
             reasons.append(f"rotors from {believed.name}, {believed.why}")
         span = believed.range
         return ChosenSource(

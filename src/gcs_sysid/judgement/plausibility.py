@@ -8,7 +8,6 @@ derivation: docs/result.md, "Plausibility"); values outside come from what was e
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_readings import AGE, APART
-from gcs_sysid.signals.rotor_units import unseen_scale
+from gcs_sysid.signals.rotor_units import LARGEST_ROTOR, unseen_scale
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -35,10 +34,7 @@ class PlausibleRanges:
     density: Range = (10.0, 2500.0)
     """Mass over arm cubed, kg/m^3. Vehicles of the table: 52 to 787; of the article: 34; a 3-inch
     quad with ducts: 898."""
-    rotor: float = 0.0098
-    """k_T, kg/m^3, over the fourth power of the distance between neighbors, at most: C_T rho D^4 /
-    (4 pi^2) for a thrust coefficient of 0.25, as of ducted ones with many blades (the CineRat), and
-    a diameter of 1.06 times that distance."""
+    rotor: float = LARGEST_ROTOR
     tip: float = 150.0
     """Speed of propeller tips in hover, m/s, at most. Makers allow 140 to 190 at full thrust; with
     the diameter that k_T has at C_T = 0.1, vehicles have 41 to 116."""
@@ -92,13 +88,18 @@ def own_units(evidence: Evidence) -> Iterator[Objection]:
 
 def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
     """Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
-    if evidence.reread:
+    for found in of_reading(reread=evidence.reread):
+        yield replace(found, parameters=_BY_SCALE, cap="weak")
+
+
+def of_reading(*, reread: bool) -> Iterator[Objection]:
+    """The same, whatever the speeds are for."""
+    if reread:
         yield Objection(
             "rotor speeds were read as rad/s, because as rpm they could not carry this mass",
-            _BY_SCALE,
-            cap="weak",
             verdict="partial",
             how="check --mass (kg) and --arm (m), or the unit that the ESCs send",
+            by="units",
         )
 
 
@@ -112,7 +113,7 @@ def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
 def unseen_speeds(evidence: Evidence) -> Iterator[Objection]:
     """Speeds that nothing checks: a note, as rpm is what they are defined in."""
     names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
-    seen = evidence.turning is not None
+    seen = evidence.turning is not None or evidence.airframe.motor_poles is not None
     unseen = unseen_scale(evidence.rotor_input, evidence.parameters, seen=seen)
     claimed = evidence.received is not None and names & _known(evidence).keys()
     if unseen and claimed and not evidence.assumed:
@@ -147,7 +148,7 @@ def assumed_unit(evidence: Evidence) -> Iterator[Objection]:
             parameters = _BY_SPEED
         how = "give [command] min and max in the airframe file, or record the parameters"
         if speeds:
-            how = "count the magnets of a motor, and record the IMU faster: at 500 Hz it shows them"
+            how = "give motor_poles, counted, in the airframe file, or record the IMU at 500 Hz"
         yield Objection(evidence.assumed, parameters, cap="weak", verdict="partial", how=how)
 
 
@@ -290,11 +291,7 @@ def unseen_spins(evidence: Evidence) -> Iterator[Objection]:
     Whatever the flight asks of one arm, it asks of both its rotors; by yaw they differ on all arms
     alike. With two of them exchanged all else fits as well, at twice the torque and inertia.
     """
-    if (
-        _coaxial(evidence.airframe)
-        and not evidence.confirmed
-        and _BY_SPIN & _known(evidence).keys()
-    ):
+    if evidence.airframe.coaxial and not evidence.confirmed and _BY_SPIN & _known(evidence).keys():
         yield Objection(
             "no flight shows which rotor of an arm is the upper one: with two exchanged, rotor "
             "torque and inertia come out twice as large",
@@ -394,7 +391,7 @@ def misfits(
     thrust = found.get(name)
     if thrust is None or thrust <= 0.0 or arm_std:
         return
-    if not rotor_input.motors and thrust > RANGES.rotor * _apart(airframe) ** 4:
+    if not rotor_input.motors and thrust > RANGES.rotor * airframe.apart**4:
         rpm = 30.0 / math.pi * math.sqrt(mass * GRAVITY / (rotors * thrust))
         yield _of_sizes(
             f"hovering {mass:.3g} kg at {rpm:.0f} rpm takes rotors that do not fit an arm of "
@@ -464,8 +461,10 @@ def _inertia(found: Mapping[str, float], arm: float) -> Iterable[tuple[str, str]
 def _spins(
     found: Mapping[str, float], airframe: Airframe, rotor_input: RotorInput
 ) -> Iterable[tuple[str, str]]:
-    """Torque over thrust against the propeller's diameter.
+    """Torque over thrust against the propeller's diameter, and the power that air takes.
 
+    That is T^1.5 / sqrt(2 rho A) of a rotor of area A, by momentum, over its figure of merit: with
+    half the true speeds torque seems to give half of it.
     Rotors that share an arm always get nearly the same command: no flight shows which of them is
     the upper one. The same holds for a tilt of all rotors, which adds to their torque.
     """
@@ -473,16 +472,18 @@ def _spins(
     low, high = RANGES.moment_ratio
     if not rotor_input.motors and k_T is not None and k_T > 0.0:
         diameter = _diameter(k_T)
+        power = math.sqrt(2.0 * k_T / (math.pi * _AIR)) / (_BEST * airframe.apart)
+        low = max(low * diameter, power)
     else:
         # The largest that do not touch their neighbors.
-        diameter, low = _apart(airframe), 0.0
+        diameter, low = airframe.apart, 0.0
         high = high if len(airframe.rotors) <= _FEW else RANGES.most_of_many
     # Below zero it is the sign that is wrong, which the verdict says.
-    if ratio is None or ratio <= 0.0 or _within(ratio, (low * diameter, high * diameter)):
+    if ratio is None or ratio <= 0.0 or _within(ratio, (low, high * diameter)):
         return
-    what = "upper and lower rotors, " if _coaxial(airframe) else ""
+    what = "upper and lower rotors, " if airframe.coaxial else ""
     speeds = "" if rotor_input.motors else "; or the arm, or the unit of the rotor speeds"
-    least = f"{low * diameter:.2g} to" if low else "at most"
+    least = f"{low:.2g} to" if low else "at most"
     yield (
         f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
         f"{high * diameter:.2g} m of propellers of {diameter:.2g} m",
@@ -495,28 +496,13 @@ def _diameter(k_T: float) -> float:
     return float((4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25)
 
 
-_FEW = 4
+_FEW, _BEST = 4, 0.85
+"""Rotors whose propellers may be small ones; figure of merit of the best, 0.8, times the largest
+diameter over the distance between neighbors."""
 _C_T, _AIR = 0.1, 1.225
 """Thrust coefficient of 0.06 to 0.16, on whose fourth root the diameter depends; kg/m^3."""
 _TRIANGLE = 1.05
 """A flat vehicle has Izz = Ixx + Iyy; identified moments scatter by up to 5 %."""
-
-
-def _coaxial(airframe: Airframe) -> bool:
-    """Whether two rotors share a position, seen from above."""
-    near = _SAME_PLACE * airframe.arm
-    return any(math.hypot(a.x - b.x, a.y - b.y) < near for a, b in combinations(airframe.rotors, 2))
-
-
-def _apart(airframe: Airframe) -> float:
-    """M between the nearest rotors that are not coaxial."""
-    near = _SAME_PLACE * airframe.arm
-    every = (math.hypot(a.x - b.x, a.y - b.y) for a, b in combinations(airframe.rotors, 2))
-    return min((apart for apart in every if apart >= near), default=math.inf)
-
-
-_SAME_PLACE = 0.05
-"""Arms between the axes of two rotors, below which they are coaxial."""
 
 
 def _short(kilograms: float) -> str:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib import resources
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
@@ -200,6 +201,8 @@ SIMULATION_TABLE = "simulation"
 
 OWN_UNITS = (("mass",), ("mass", "arm"))
 """What may be a unit, where it is not given: see `Airframe.own_units`."""
+_SAME_PLACE = 0.2
+"""Arms between two rotors, below which they are coaxial: places are measured to millimeters."""
 _UPRIGHT = (0.0, 0.0, -1.0)
 _MOST_TILT = math.radians(30.0)
 
@@ -274,6 +277,7 @@ class Airframe:
         name: as in the file.
         rotors: in the autopilot's motor order.
         rotor_input: which telemetry carries the rotors' inputs; "auto": the first sound.
+        motor_poles: magnets of a motor, counted; None: as the autopilot has it.
         command: the range of actuator outputs.
         mass: kg, or None.
         k_T: N s^2, or None.
@@ -289,6 +293,7 @@ class Airframe:
     name: str
     rotors: tuple[Rotor, ...]
     rotor_input: RotorInput | Literal["auto"] = "auto"
+    motor_poles: int | None = None
     command: CommandRange = CommandRange()
     mass: float | None = None
     k_T: float | None = None
@@ -325,6 +330,20 @@ class Airframe:
     def arm(self) -> float:
         """Mean distance of the rotors from the geometric center, m."""
         return sum(math.hypot(r.x, r.y) for r in self.rotors) / len(self.rotors)
+
+    @property
+    def apart(self) -> float:
+        """M between the nearest rotors that are not coaxial."""
+        return min((d for d in self._distances if d >= _SAME_PLACE * self.arm), default=math.inf)
+
+    @property
+    def coaxial(self) -> bool:
+        """Whether two rotors share a position, seen from above."""
+        return any(d < _SAME_PLACE * self.arm for d in self._distances)
+
+    @property
+    def _distances(self) -> list[float]:
+        return [math.hypot(a.x - b.x, a.y - b.y) for a, b in combinations(self.rotors, 2)]
 
     @property
     def cant(self) -> float:
@@ -531,7 +550,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         InputError: a key is unknown, missing or has a value that makes no sense.
     """
     tables = {"command", "imu", "rotor", "prior", "uncertainty", SIMULATION_TABLE}
-    reject_unknown(table, {"name", "rotor_input", *ANCHORS, *tables}, where)
+    reject_unknown(table, {"name", "rotor_input", "motor_poles", *ANCHORS, *tables}, where)
     name = table.get("name", Path(where).stem)
     if not isinstance(name, str):
         raise InputError(f"{where}: name must be text, got {as_it_is(name)}")
@@ -540,6 +559,9 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
     if rotor_input not in kinds:
         names = " or ".join([", ".join(f"'{kind}'" for kind in kinds[:-1]), f"'{kinds[-1]}'"])
         raise InputError(f"{where}: rotor_input must be {names}, got {as_it_is(rotor_input)}")
+    poles = table.get("motor_poles")
+    if poles is not None and (type(poles) is not int or poles % 2 or not 2 <= poles <= 80):
+        raise InputError(f"{where}: motor_poles must be even, 2 to 80, got {as_it_is(poles)}")
     anchors: dict[str, Any] = {
         name: _positive(table[name], f"{where}: {name}") for name in ANCHORS if name in table
     }
@@ -555,6 +577,7 @@ def parse_airframe(table: Mapping[str, Any], where: str) -> Airframe:
         name=name,
         rotors=_rotors(table.get("rotor"), where),
         rotor_input=rotor_input,
+        motor_poles=poles,
         command=_command(table.get("command", {}), f"{where}: [command]"),
         gyro_filter=gyro_filter,
         imu_position=imu_position,

@@ -51,7 +51,13 @@ from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.rotor_readings import RotorLines
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import MOTOR_POLES, RotorSource, gyro_cutoff, loop_cutoff
+from gcs_sysid.signals.rotor_units import (
+    RADIANS,
+    RotorSource,
+    gyro_cutoff,
+    loop_cutoff,
+    pole_count,
+)
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
@@ -706,7 +712,7 @@ class Findings:
             assumed=self._assumed,
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
-            reread=source is not None and source.scale != 1.0,
+            reread=source is not None and source.scale == RADIANS,
             clock=None if chain.origin is None else chain.origin.clock_doubt,
             confirmed=chain.origin is not None and chain.origin.confirms(chain.airframe),
         )
@@ -818,9 +824,11 @@ class Findings:
         """What neither the log nor the user gives."""
         source, airframe = self.chain.rotors, self.chain.airframe
         if source is not None and (words := self._assumed):
-            what = "motor_poles" if source.range is None else f"range of {source.name}"
-            value = MOTOR_POLES if source.range is None else [source.range.low, source.range.high]
-            yield {"what": what, "value": value, "source": words}
+            if (span := source.range) is not None:
+                what = f"range of {source.name}"
+                yield {"what": what, "value": [span.low, span.high], "source": words}
+            elif divided := pole_count(source.name, self.chain.rotor_selector.parameters):
+                yield {"what": divided[0], "value": divided[1], "source": words}
         if not (airframe.arm_known or airframe.own_units):
             yield {"what": "arm", "value": airframe.arm, "source": f"layout {airframe.name}"}
 

@@ -214,6 +214,8 @@ def airframe_text(airframe: Airframe, origin: str = "") -> str:
         anchor, value = scale
         lines.append(f"{anchor} = {value!r}  # {ANCHORS[anchor]}, {_ANCHOR_WORDS[anchor]}")
     lines.append(f'rotor_input = "{airframe.rotor_input}"')
+    if airframe.motor_poles is not None:
+        lines.append(f"motor_poles = {airframe.motor_poles}  # magnets of a motor, counted")
     if airframe.imu_position is not None:
         x, y, z = (_in_meters(value) for value in airframe.imu_position)
         lines += ["", "[imu]"]

@@ -16,7 +16,6 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe, ScaleReference
-from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.motor_order import (
@@ -40,8 +39,8 @@ from gcs_sysid.signals.rotor_readings import (
     unlike_squares,
 )
 from gcs_sysid.signals.rotor_units import (
-    DEFINED_SPEEDS,
     PARAMETER_NAMES,
+    RADIANS,
     UNSIGNED,
     Range,
     RotorSource,
@@ -49,6 +48,7 @@ from gcs_sysid.signals.rotor_units import (
     command_range,
     normalized,
     seen_of,
+    speed_scale,
     turns_either_way,
 )
 
@@ -68,15 +68,6 @@ _TOUCHES = 0.998
 """Share of the greatest speed or command from which another rotor has been at the same limit."""
 _SAME = 0.02
 """Error, relative to the change, below which speeds are a function of the command."""
-_RPM = 2.0 * math.pi / 60.0
-_AIR = 1.225
-"""kg/m^3"""
-_COAXIAL = 0.2
-"""Of the arm, below which rotors stand over each other."""
-_MOST_THRUST_COEFFICIENT = 0.15
-"""C_T of T = C_T rho n^2 D^4; that of propellers is 0.05 to 0.13."""
-_BEYOND = 3.0
-"""Times the thrust of the largest rotors that fit, from which speeds cannot be right."""
 
 _ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
           "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
@@ -279,6 +270,7 @@ class RotorSourceSelector:
 
     def assumed(self, source: RotorSource, *, seen: bool = False) -> str:
         """What is still assumed of the unit of a source, as of `assumed_unit`."""
+        seen |= self._airframe.motor_poles is not None
         return assumed_unit(source.name, self._range_now(source), self.parameters, seen=seen)
 
     def gap(self) -> None:
@@ -434,10 +426,11 @@ class RotorSourceSelector:
             if name in self._misread:  # a pole count is the same all the time
                 refused[name] = self._misread[name]
                 continue
-            why, scale = RotorInput.SPEED.words, 1.0
-            if name not in DEFINED_SPEEDS and self._too_slow(stretch):
+            why, anchor = RotorInput.SPEED.words, self.anchor
+            mass = None if anchor is None or anchor.kind != "mass" else anchor.value
+            scale = speed_scale(name, stretch.values, self._airframe, mass, self.parameters)
+            if scale == RADIANS:
                 why += ", read as rad/s in an rpm field, by the thrust needed"
-                scale = 1.0 / _RPM
             return RotorSource(
                 RotorInput.SPEED,
                 name,
@@ -522,18 +515,6 @@ class RotorSourceSelector:
             if not isinstance(range_, str):
                 return unlike_squares(measured, normalized(stretches[name].together, range_))
         return None
-
-    def _too_slow(self, stretch: Stretch) -> bool:
-        """Whether rotors so slow could not carry the vehicle however large they were."""
-        if self.anchor is None or self.anchor.kind != "mass" or self._airframe.own_units:
-            return False
-        x, y, _ = self._airframe.geometry
-        apart = np.hypot(x[:, None] - x, y[:, None] - y)
-        # Coaxial rotors, whose measured places differ by millimeters, bound no diameter.
-        diameter = apart[apart > _COAXIAL * self._airframe.arm].min()
-        power = sum(float(np.mean(v * v)) for v in stretch.values)
-        k_T = _MOST_THRUST_COEFFICIENT * _AIR * diameter**4 / (2.0 * math.pi) ** 2
-        return self.anchor.value * GRAVITY > _BEYOND * float(k_T) * power
 
 
 _STALE = 1.5

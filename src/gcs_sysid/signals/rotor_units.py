@@ -5,13 +5,15 @@ airframe file, else from the autopilot's parameters, else from its convention. W
 part of the result.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
-from gcs_sysid.model.airframe import CommandRange
+from gcs_sysid.model.airframe import Airframe, CommandRange
+from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.motor_order import MotorOrder, motor_outputs
 
@@ -23,7 +25,8 @@ PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "
                    "SIM_", "SIH_MASS", "SYS_AUTOSTART", "HIL_ACT_M", "INS_GYRO_FILTER",
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
-                   "THR_MIN", "IMU_GYRO_CUTOFF", *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
+                   "THR_MIN", "IMU_GYRO_CUTOFF", "SERVO_BLH_POLES", "MOT_POLE_COUNT",
+                   *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
 """How the names of the parameters that matter here begin, beside functions of outputs."""
 
 _USUAL = (800.0, 2200.0)
@@ -32,13 +35,21 @@ _LEAST_PULSE = 600.0
 """us, a pulse that there may be."""
 _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
-_DSHOT_PROTOCOLS = range(5, 9)
-"""Values of Betaflight's motor_pwm_protocol."""
+_DSHOT_PROTOCOLS, _DSHOT_TYPES = range(5, 9), range(4, 8)
+"""Values of Betaflight's motor_pwm_protocol, and of ArduPilot's MOT_PWM_TYPE."""
 MOTOR_POLES = 14.0
-"""Betaflight's default."""
+"""The default of every firmware."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
 """Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
 _NO_MOTOR_OUTPUT = " assumed: the log has no motorOutput"
+LARGEST_ROTOR = 0.0098
+"""k_T, kg/m^3, over the fourth power of the distance between neighbors, at most: C_T rho D^4 /
+(4 pi^2) for a thrust coefficient of 0.25, as of ducted ones with many blades (the CineRat), and a
+diameter of 1.06 times that distance."""
+RADIANS = 30.0 / math.pi
+"""Scale of speeds that were rad/s in a field of rpm."""
+_BEYOND = 3.0
+"""Times that thrust, from which speeds are not rpm: half of them give 4 times what they should."""
 _REVERSIBLE = 1 << 12
 """Bit of Betaflight's features: motors turn either way."""
 _STOPPED = -0.05
@@ -227,18 +238,60 @@ def assumed_unit(
         source: as in `Record`.
         range_: of commands.
         parameters: known so far.
-        seen: whether the IMU shows how fast the rotors turn.
+        seen: whether the IMU shows how fast the rotors turn, or the airframe file has the poles.
     """
     if range_ is not None:
         return f"{source}: {range_.origin}" if range_.assumed else ""
-    if source != "eRPM" or seen:
+    divided = pole_count(source, parameters)
+    if divided is None or seen:
         return ""
-    poles = parameters.get("motor_poles", 0.0)
-    if not poles >= 2.0:
-        return f"eRPM without motor_poles in the log: {MOTOR_POLES:g} poles assumed"
-    if poles == MOTOR_POLES:  # it says so whether or not anyone has counted
-        return f"eRPM by Betaflight's default of motor_poles: {MOTOR_POLES:g} poles assumed"
-    return ""
+    name, poles = divided
+    if not parameters.get(name, 0.0) >= 2.0:
+        return f"{source} without {name} in the log: {poles:g} poles assumed"
+    return f"{source} by {name}, as it was entered or left: {poles:g} poles assumed"
+
+
+def pole_count(source: str, parameters: Parameters) -> tuple[str, float] | None:
+    """The parameter by which electrical speeds became those of rotors, and its value.
+
+    What drives ESCs by DShot divides by a number that the user counts; others send rpm. None: so
+    does this source, as far as the parameters show, or it is of a simulator.
+    """
+    of_escs = source.lower().startswith("esc")
+    if source == "eRPM":
+        name = "motor_poles"
+    elif is_simulated(parameters) or not of_escs:
+        return None
+    elif parameters.get("MOT_PWM_TYPE") in _DSHOT_TYPES:
+        name = "SERVO_BLH_POLES"
+    elif any(_is_dshot(driver, parameters) for driver in motor_outputs("px4", parameters)):
+        name = "DSHOT_MOT_POL1" if "DSHOT_MOT_POL1" in parameters else "MOT_POLE_COUNT"
+    else:
+        return None
+    poles = parameters.get(name, 0.0)
+    return name, poles if poles >= 2.0 else MOTOR_POLES
+
+
+def speed_scale(
+    source: str, speeds: Sequence[Array], airframe: Airframe, mass: float | None, poles: Parameters
+) -> float:
+    """Rad/s for what a decoder took for rad/s: by the poles counted, else `RADIANS` where as rpm
+    the largest rotors that fit could not carry the vehicle.
+
+    Args:
+        source: as in `Record`.
+        speeds: (n,) of each rotor in flight.
+        airframe: whose rotors.
+        mass: kg; None: not known.
+        poles: parameters, with those of `pole_count`.
+    """
+    divided = pole_count(source, poles)
+    if divided is not None and airframe.motor_poles:
+        return divided[1] / airframe.motor_poles
+    if mass is None or source in DEFINED_SPEEDS or airframe.own_units:
+        return 1.0
+    most = LARGEST_ROTOR * airframe.apart**4 * sum(float(np.mean(v * v)) for v in speeds)
+    return RADIANS if mass * GRAVITY > _BEYOND * most else 1.0
 
 
 def unseen_scale(rotor_input: RotorInput, parameters: Parameters, *, seen: bool) -> str:
@@ -260,8 +313,7 @@ def unseen_scale(rotor_input: RotorInput, parameters: Parameters, *, seen: bool)
 def _of_px4(parameters: Parameters) -> Range | None:
     """Of the driver whose output is motor 1, where its parameters give a range."""
     for driver, outputs in motor_outputs("px4", parameters).items():
-        # Rates of groups of outputs; below -1 those are DShot, which drives nothing but motors.
-        if any(parameters.get(f"{driver}_TIM{group}", 0.0) < -1.0 for group in range(8)):
+        if _is_dshot(driver, parameters):
             full, start = _DSHOT[1] - _DSHOT[0], parameters.get("DSHOT_MIN")
             origin = "DShot from DSHOT_MIN" + " 0.055 assumed" * (start is None)
             return Range((0.055 if start is None else start) * full, full, origin, start is None)
@@ -274,6 +326,11 @@ def _of_px4(parameters: Parameters) -> Range | None:
         if 0.0 < low < high:
             return Range(low, high, f"{all_outputs}_MIN, {all_outputs}_MAX")
     return None
+
+
+def _is_dshot(driver: str, parameters: Parameters) -> bool:
+    """By rates of groups of outputs: below -1 they are DShot, which drives nothing but motors."""
+    return any(parameters.get(f"{driver}_TIM{group}", 0.0) < -1.0 for group in range(8))
 
 
 def gyro_cutoff(given: float | None, autopilot: str, parameters: Parameters) -> float | None:
