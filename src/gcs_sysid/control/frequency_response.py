@@ -18,6 +18,11 @@ and PX4's autotune inject are part of what is logged. An attitude loop of gain k
 through them, r = w - k y / s, hence z = r + k y / s is taken. Below the frequency k outer loops act
 on w too, and nothing is claimed.
 
+A controller makes torques of set-points and rates without noise of its own, u = F r - H y. Both
+terms, each with a gain and a delay of its own, are fitted to all frequencies at once: what of it
+is late of H is a filter or a delay that the law lacks. Where set-points are logged slowly, their
+errors decide what rates show that do little but follow them: such cells are left out then.
+
 What is averaged over a cell is the response over a reference's, whose slope is then no error.
 """
 
@@ -191,11 +196,14 @@ class MeasuredAxis:
         torque: response of the rate to the normalized torque.
         setpoint: the same to the rate set-point; None: none is logged.
         model: (N, w) of the identified vehicle at the frequencies of `torque`, then draws.
+        late: s by which torques follow rates later than the loop's law says, and the standard
+            deviation, infinite where that is not seen; None: filters act before the logged gyro.
     """
 
     torque: FrequencyResponse
     setpoint: FrequencyResponse | None
     model: Array
+    late: tuple[float, float] | None = None
 
     def model_json(self) -> dict[str, list[float]]:
         """Arrays of the model, with the 95 % band of its draws."""
@@ -212,23 +220,20 @@ class MeasuredAxis:
 
 
 def measured_axes(
-    flight: FlownSignals,
-    dynamics: HoverDynamics,
-    loop: RateLoop,
-    gyro: Callable[[Array], Array] = np.ones_like,
+    flight: FlownSignals, dynamics: HoverDynamics, loop: RateLoop
 ) -> dict[str, MeasuredAxis]:
-    """Roll, pitch and yaw, as far as the flight shows them.
-
-    `gyro` is as of `measured_response`.
-    """
+    """Roll, pitch and yaw, as far as the flight shows them."""
     found = {}
     for axis, name in enumerate(AXES):
         model = functools.partial(_response, dynamics, loop, axis)
-        own = flight, axis, loop.gains[axis].attitude, gyro
+        own = flight, axis, loop.gains[axis].attitude, loop.logged_gyro
         torque = measured_response(*own, reference=model)
         if torque is not None:
             found[name] = MeasuredAxis(
-                torque, measured_response(*own, of="setpoint"), model(torque.omega)
+                torque,
+                measured_response(*own, of="setpoint"),
+                model(torque.omega),
+                controller_delay(flight, loop, axis) if loop.logs_raw_gyro else None,
             )
     return found
 
@@ -261,10 +266,7 @@ def measured_response(
     Returns:
         None where gapless flight is too short, or nothing was asked.
     """
-    T = _piece(flight)
-    # Lines of a piece's Fourier transform, the tapers' bandwidth apart.
-    apart = round(2.0 * RULES.bandwidth)
-    lines = apart * np.arange(1, int(flight.highest * T / (2.0 * np.pi * apart)) + 1)
+    T, lines = _lines(flight)
     input_ = axis if of == "torque" else 6 + axis
     asked = any(np.nan_to_num(x[:, input_]).any() for x in flight.stretches)
     if len(lines) < 2 or not asked or (of == "setpoint" and not flight.has_setpoints):
@@ -279,7 +281,7 @@ def measured_response(
     spectra = np.concatenate([*_spectra(flight, (input_, 3 + axis, 6 + axis), T, lines, shift)])
     u, y, z = np.moveaxis(spectra, -1, 0)
     u = u * np.exp(1j * omega * shift * flight.dt)
-    y = y * flight.dt / (1.0 - np.exp(-1j * omega * flight.dt)) / gyro(omega)
+    y = y * _of_slope(omega, flight.dt) / gyro(omega)
     z = z / flight.hold(omega)
     u = u / flight.hold(omega) if of == "setpoint" else u
     instrument = "rate set-points" if flight.has_setpoints else ""
@@ -307,6 +309,92 @@ def measured_response(
         claimed,
         instrument,
     )
+
+
+def _lines(flight: FlownSignals) -> tuple[float, Array]:
+    """S of pieces, and lines of their Fourier transform, the tapers' bandwidth apart."""
+    T, apart = _piece(flight), round(2.0 * RULES.bandwidth)
+    return T, apart * np.arange(1, int(flight.highest * T / (2.0 * np.pi * apart)) + 1)
+
+
+def _of_slope(omega: Array, dt: float) -> Array:
+    """(w,) a signal over its difference from the sample before, per s."""
+    response: Array = dt / (1.0 - np.exp(-1j * omega * dt))
+    return response
+
+
+def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[float, float]:
+    """By how much torques follow the rates of an axis later than by the law of the loop given.
+
+    Least squares, each cell by what it leaves unexplained; errors by their scatter over cells. The
+    gyro's filters are behind the log.
+
+    Returns:
+        S, and its standard deviation; infinite where it is not seen.
+    """
+    T, lines = _lines(flight)
+    omega = 2.0 * np.pi * lines / max(T, flight.dt)
+    law, _, reference = (each[:, axis] for each in loop.controllers(omega))
+    unseen = 0.0, np.inf
+    if not (len(lines) and loop.gains_known and flight.has_setpoints):
+        return unseen
+    spectra = np.concatenate([*_spectra(flight, (axis, 3 + axis, 6 + axis), T, lines, 0)])
+    u, y, z = np.moveaxis(spectra, -1, 0)
+    cells = [
+        cell
+        for cell in _cells(omega, len(spectra))
+        if not flight.held or _coherence(z[:, cell], y[:, cell]) < RULES.coherence
+    ]
+    if len(cells) < SmoothRatio.FEWEST:
+        return unseen
+    parts = reference * z / flight.hold(omega), -law * _of_slope(omega, flight.dt) * y
+    seconds, left = np.zeros(2), u
+    for _ in range(8):
+        moved = [x * np.exp(-1j * omega * late) for x, late in zip(parts, seconds, strict=True)]
+        terms = np.stack([*moved, *(-1j * omega * x for x in moved), u], -1)
+        rows = []
+        for cell in cells:
+            noise = np.mean(np.abs(left[:, cell]) ** 2) + 1e-9 * np.mean(np.abs(u[:, cell]) ** 2)
+            row = terms[:, cell].reshape(-1, 5) / np.sqrt(noise or 1.0)
+            rows.append(np.vstack([row.real, row.imag]))
+        whole = np.vstack(rows)
+        solution = np.linalg.lstsq(whole[:, :4], whole[:, 4], rcond=None)[0]
+        if not (solution[0] and solution[1] > 0.0):
+            return unseen
+        seconds = seconds + np.clip(solution[2:] / solution[:2], -0.005, 0.005)
+        left = u - terms[..., :4] @ solution
+    pulls = [row[:, :4].T @ (row[:, 4] - row[:, :4] @ solution) for row in rows]
+    inverse = np.linalg.pinv(whole[:, :4].T @ whole[:, :4])
+    errors = inverse @ np.array(pulls).T
+    return float(seconds[1]), float(np.sqrt(np.sum(errors[3] ** 2)) / solution[1])
+
+
+def lateness(measured: Iterable[tuple[FrequencyResponse, Array]]) -> tuple[float, float]:
+    """By how much measured responses are later than modeled, by their phase: one delay for all.
+
+    Generalized least squares, errors of measurement and of the models together.
+
+    Args:
+        measured: with (N, w) models, the nominal one first.
+
+    Returns:
+        S, and its standard deviation; infinite where too little is claimed.
+    """
+    columns = []
+    for found, model in measured:
+        at = found.claimed
+        turned = np.unwrap(np.angle(found.values[at] / model[:, at]), axis=1)
+        std = found.std[at] / np.abs(found.values[at]) / np.sqrt(2.0)
+        columns.append(np.vstack([found.omega[at], std, turned]))
+    omega, std, phase, *drawn = np.hstack(columns) if columns else np.zeros((3, 0))
+    if len(omega) < SmoothRatio.FEWEST:
+        return 0.0, np.inf
+    errors = np.diag(std**2) + (np.cov(np.array(drawn).T) if len(drawn) > 1 else 0.0)
+    weight = np.linalg.solve(errors, omega)
+    late = -float(weight @ phase) / float(weight @ omega)
+    left = phase + late * omega
+    scatter = max(float(left @ np.linalg.solve(errors, left)) / (len(omega) - 1), 1.0)
+    return late, float(np.sqrt(scatter / (weight @ omega)))
 
 
 def _piece(flight: FlownSignals) -> float:
@@ -362,8 +450,12 @@ def _ratio(u: Array, y: Array, z: Array) -> tuple[complex, float, int, float]:
     leverage = np.minimum(np.abs(z * u / z_u), 0.5)
     sandwich = np.sum(np.abs(e * z) ** 2 / (1.0 - leverage))
     variance = max(np.vdot(e, e).real / (n - 1) * z_z, sandwich) / np.abs(z_u) ** 2
-    shared = (np.abs(p) ** 2 / (z_z * np.vdot(x, x).real) for p, x in ((z_u, u), (z_y, y)))
-    return ratio, float(np.sqrt(variance)), n, float(min(shared))
+    return ratio, float(np.sqrt(variance)), n, min(_coherence(z, u), _coherence(z, y))
+
+
+def _coherence(x: Array, y: Array) -> float:
+    """Of products of one shape."""
+    return float(np.abs(np.vdot(x, y)) ** 2 / (np.vdot(x, x).real * np.vdot(y, y).real or 1.0))
 
 
 class SmoothRatio:
@@ -493,7 +585,6 @@ def replay(
     flight: FlownSignals,
     now: tuple[HoverDynamics, RateLoop],
     then: tuple[HoverDynamics, RateLoop],
-    gyro: Callable[[Array], Array],
     highest: float,
 ) -> Replay | None:
     """Fly the log's rate set-points, disturbed as it was, with another loop or vehicle.
@@ -502,7 +593,6 @@ def replay(
         flight: signals, with set-points.
         now: vehicles and loop that flew.
         then: the same vehicles, changed, and the loop to try.
-        gyro: as of `measured_response`.
         highest: rad/s, up to which motion counts.
 
     Returns:
@@ -525,7 +615,7 @@ def replay(
         return whole[..., middle, :] * (points / n)
 
     spectra = np.fft.rfft(pieces[:, :, 3:9].astype(np.float64), axis=1)[:, 1:size]
-    passed = gyro(omega)[:, None]
+    passed = now[1].logged_gyro(omega)[:, None]
     spectra[:, np.abs(passed[:, 0]) < RULES.passed] = 0.0  # a notch leaves next to nothing
     Y, R = spectra[..., :3] / passed, spectra[..., 3:] / flight.hold(omega)[:, None]
     (T0, S0), (T1, S1) = (closed_loops(*each, omega) for each in (now, then))

@@ -203,6 +203,15 @@ class RateLoop:
         own = (SignalFilter("butterworth", self.gyro_cutoff),) if self.gyro_cutoff > 0.0 else ()
         return chain_response((*own, *self.gyro_filters), s)
 
+    @property
+    def logs_raw_gyro(self) -> bool:
+        """Whether the log's gyro has passed none of the loop's filters, as PX4's; else all."""
+        return self.autopilot == "px4"
+
+    def logged_gyro(self, omega: Array) -> Array:
+        """(w,) response of the filters that the log's gyro has passed, at (w,) rad/s."""
+        return np.ones_like(omega) if self.logs_raw_gyro else self.gyro_response(omega)
+
     def controllers(self, omega: Array) -> tuple[Array, Array, Array]:
         """Response of the loops to the vehicle's motion and to set-points, at frequencies.
 

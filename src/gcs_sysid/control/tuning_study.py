@@ -10,7 +10,7 @@ follow the crossover in fixed proportions, so that what is chosen is one number 
 """
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from gcs_sysid.control.frequency_response import (
     MeasuredAxis,
     Replay,
     flown_signals,
+    lateness,
     measured_axes,
     measured_margins,
     measured_response,
@@ -147,12 +148,13 @@ def sure_margins(
 ) -> Array:
     """(3, 2) least phase and gain margin (deg, dB) of each axis over all draws.
 
-    With and without attitude loop, a loop period later than modeled, with the thrust of a full and
-    of a low battery; and the lower bound of the phase margin by the measured response. The dynamics
-    are of the nominal vehicle and draws.
+    With and without attitude loop, a loop period later than modeled, or as late as the flight may
+    be where that is more, with the thrust of a full and of a low battery; and the lower bound of
+    the phase margin by the measured response. The dynamics are of the nominal vehicle and draws.
     """
     omega = frequencies(loop)
-    later = replace(dynamics, delay=dynamics.delay + loop.period)
+    late = max([loop.period, *(late + Z95 * std for late, std in flown_late(measured))])
+    later = replace(dynamics, delay=dynamics.delay + late)
     low = replace(
         later,
         effectiveness=LIMITS.battery * later.effectiveness,
@@ -165,6 +167,44 @@ def sure_margins(
         if flown is not None:
             least[axis, 0] = min(least[axis, 0], np.percentile(flown.phase, BAND[0]))
     return least
+
+
+def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float], ...]:
+    """By how much the loop that flew is later than modeled, and the standard deviation, s.
+
+    Of the whole loop, in which it does not matter whose stamps are late; and of the controller
+    alone, which is surer, where filters act behind the logged gyro. Empty: neither is known
+    better than the delay that is assumed.
+    """
+    vehicle = lateness((each.torque, each.model) for each in measured.values())
+    laws = [each.late for each in measured.values() if each.late is not None]
+    # A gyro's filters are the same for all axes.
+    own = min(laws, key=lambda each: each[1]) if laws else (0.0, 0.0)
+    whole = vehicle[0] + own[0], float(np.hypot(vehicle[1], own[1]))
+    seen = (whole, own) if laws else (whole,)
+    return tuple(each for each in seen if Z95 * each[1] < ASSUMED_DELAY[0])
+
+
+def late_objections(
+    dynamics: HoverDynamics, loop: RateLoop, measured: Mapping[str, MeasuredAxis]
+) -> tuple[Objection, ...]:
+    """A loop that acts later than its gains, filters and delay say, by more than margins allow."""
+    least, late = max(((x - Z95 * std, x) for x, std in flown_late(measured)), default=(0.0, 0.0))
+    if least <= max(loop.period, ASSUMED_DELAY[1]):
+        return ()
+    omega = frequencies(loop)
+    fast = margins_of(omega, open_loops(dynamics.first(1), loop, omega)[0].T).crossover
+    axis = int(np.nanargmax(fast))
+    return (
+        Objection(
+            f"the loop acts {1e3 * late:.1f} ms later than its parameters say, surely by "
+            f"{1e3 * least:.1f} ms: {np.degrees(late * fast[axis]):.0f} deg of phase at the "
+            f"crossover on {AXES[axis]}, {fast[axis]:.0f} rad/s",
+            evidence={AXES[axis]: late},
+            how="give all parameters: notches, low-passes and their switches; check the delay",
+            by="frequency response",
+        ),
+    )
 
 
 def stepped(loop: RateLoop, now: RateLoop) -> RateLoop:
@@ -235,8 +275,8 @@ def _named(axes: Iterable[int]) -> str:
 def _least(margins: Array) -> str:
     phase, gain = margins.min(axis=0)
     return (
-        f"at least {phase:.0f} deg and {gain:.1f} dB over all draws, a loop period later than "
-        f"modeled and at {100.0 * LIMITS.battery:.0f} % of the thrust"
+        f"at least {phase:.0f} deg and {gain:.1f} dB over all draws, a loop period or more later "
+        f"than modeled and at {100.0 * LIMITS.battery:.0f} % of the thrust"
     )
 
 
@@ -502,14 +542,12 @@ def study(
     notes = [*dynamics.notes, *loop.notes]
     measured: dict[str, MeasuredAxis] = {}
     signals = None
-    # PX4 logs the gyro before its filters, the others behind.
-    gyro = np.ones_like if autopilot == "px4" else loop.gyro_response
     if flight is None:  # rotors of an octocopter that turn alike may be swapped, and fit as well
         notes.append("no flight is held against the model: give its log before you load gains")
     else:
         signals = flown_signals(flight, loop)
         if signals is not None:
-            measured = measured_axes(signals, dynamics, loop, gyro)
+            measured = measured_axes(signals, dynamics, loop)
         if not measured:
             notes.append("the log has no gapless flight with commands: its response is not shown")
         elif signals is not None and not signals.has_setpoints:
@@ -524,12 +562,21 @@ def study(
             f"the response on {', '.join(few)} is claimed at too few frequencies to be compared "
             "with the model"
         )
+    for seconds, std in flown_late(measured)[:1]:
+        by = f"{1e3 * seconds:.1f} +- {1e3 * Z95 * std:.1f} ms"
+        notes.append(f"by the log the loop acts {by} later than modeled")
+    if measured and loop.gains_known and not flown_late(measured):
+        notes.append(
+            "filters are taken as given: the log is too slow or too calm to show whether the loop "
+            "acts later (log gyro, commands and rate set-points at 200 Hz)"
+        )
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
     objections = (*misread_speeds(vehicle), *parted(departures, LIMITS.unmodeled))
     now = replace(loop, besides=()) if loop.gains_known else None
-    answered = answers(signals, gyro, (dynamics, loop)) if signals is not None and now else {}
+    answered = answers(signals, (dynamics, loop)) if signals is not None and now else {}
     # A loop that does not answer as modeled is another than its margins are of.
-    misjudged = (*objections, *parted_answers(answered))
+    late_loop = late_objections(dynamics, loop, measured)
+    misjudged = (*objections, *parted_answers(answered), *late_loop)
     proposed, said = None, tuple(each.words for each in misjudged)
     if not misjudged:
         proposed, said = sure_proposal(dynamics, loop, now, measured)
@@ -556,7 +603,7 @@ def study(
             why = ("the flight contradicts the model: see below",)
             tried = WhatIf(change, None, (), (), (), why)
         else:
-            tried = what_if(change, signals, gyro, (dynamics, loop), (changed, other), answered)
+            tried = what_if(change, signals, (dynamics, loop), (changed, other), answered)
     filters = sorted(set(loop.assumed) - set(loop.as_parameters()))
     if filters:
         notes.append(f"not given, at the autopilot's defaults: {', '.join(filters)}")
@@ -589,7 +636,6 @@ def _others(
 def what_if(
     change: Change,
     flight: FlownSignals | None,
-    gyro: Callable[[Array], Array],
     now: tuple[HoverDynamics, RateLoop],
     then: tuple[HoverDynamics, RateLoop],
     departures: Mapping[str, tuple[float, float, float]],
@@ -599,7 +645,6 @@ def what_if(
     Args:
         change: tried.
         flight: signals; None: there are none to go by.
-        gyro: response of the filters that the logged gyro has passed.
         now: vehicles and loop that flew.
         then: the same, changed.
         departures: as of `answers`.
@@ -629,7 +674,7 @@ def what_if(
             why, axes = (f"{what} with {those.sum()} of {len(those)} vehicles drawn",), ()
     # Where hardly a tenth of the motion comes back, no loop acts.
     highest = 10.0 * float(np.nanmax([each.crossover for each in margins]))
-    flown = replay(flight, now, then, gyro, highest) if flight and axes else None
+    flown = replay(flight, now, then, highest) if flight and axes else None
     of = "attitude" if then[1].holds_attitude else "rate"
     few = then[0].first(LIMITS.draws)
     overshoot = [
@@ -640,7 +685,7 @@ def what_if(
 
 
 def answers(
-    flight: FlownSignals, gyro: Callable[[Array], Array], now: tuple[HoverDynamics, RateLoop]
+    flight: FlownSignals, now: tuple[HoverDynamics, RateLoop]
 ) -> dict[str, tuple[float, float, float]]:
     """Axis -> by how much its answer to set-points parts from that of the loop that flew.
 
@@ -648,13 +693,12 @@ def answers(
 
     Args:
         flight: signals.
-        gyro: response of the filters that the logged gyro has passed.
         now: vehicles and loop that flew.
     """
     departures = {}
     for axis, name in enumerate(AXES):
         modeled = functools.partial(_answer, *now, axis)
-        own = now[1].gains[axis].attitude, gyro
+        own = now[1].gains[axis].attitude, now[1].logged_gyro
         found = measured_response(flight, axis, *own, reference=modeled, of="setpoint")
         smooth = smooth_ratio(found, modeled(found.omega)) if found else None
         if smooth is not None:
