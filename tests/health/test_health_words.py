@@ -93,10 +93,13 @@ def test_a_cg_that_an_analysis_only_guesses_decides_nothing():
 @pytest.mark.parametrize(("status", "std"), [("identified", 3e-8), ("weak", 2e-6)])
 def test_beside_an_analysis_there_is_one_k_T(status, std):
     found = {"k_T": Estimate(1.1e-5, std, "N s^2", status)}
-    hovered = replace(HEALTH, scale=("k_T", Quantity(1e-5, 1e-8, "N s^2")))
+    unit = "14 poles assumed"  # and by the analysis not, whose lines confirm them
+    scale = "k_T", Quantity(1e-5, 1e-8, "N s^2")
+    hovered = replace(HEALTH, scale=scale, assumptions=("airframe", unit), unit=unit)
     for verdict in ("partial", "refused"):
         shown = beside_analysis(hovered, result_of(found, verdict=verdict))
         assert (shown.scale[1].value, shown.scale[1].std) == (1.1e-5, std)
+        assert shown.assumptions == ("airframe",)
     unseen = {"k_T": Estimate(None, None, "N s^2", "unobservable")}
     assert beside_analysis(hovered, result_of(unseen)).scale == hovered.scale
 

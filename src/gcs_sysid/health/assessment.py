@@ -31,7 +31,7 @@ from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
 from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
-from gcs_sysid.judgement.plausibility import misfits, of_reading, of_spins, of_turning, too_fast
+from gcs_sysid.judgement.plausibility import REREAD, misfits, of_spins, of_turning, too_fast
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.estimate import Objection, Quantity
@@ -311,14 +311,15 @@ def health_of(
     places = [place.value for place in health.cg or ()]
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
-    unfit = (*_misfits(health, guess), *of_reading(reread=scale == RADIANS))
+    unfit = (*_misfits(health, guess), *((REREAD,) if scale == RADIANS else ()))
     seen = health.turning is not None or airframe.motor_poles is not None
     assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
     open_range = ""
     if commands is not None:  # beside speeds too
         open_range = assumed_unit(commands.source, commands.range, parameters)
-    said = dict.fromkeys((assumed or unseen_scale(rotor_input, parameters, seen=seen), open_range))
-    health = replace(health, assumptions=(*health.assumptions, *filter(None, said)))
+    unit = assumed or unseen_scale(rotor_input, parameters, seen=seen)
+    said = filter(None, dict.fromkeys((unit, open_range)))
+    health = replace(health, assumptions=(*health.assumptions, *said), unit=unit)
     otherwise = tuple(of_turning(health.turning))
     if not rotor_input.motors:
         otherwise += tuple(of_spins(lines.unlike_spins))
@@ -380,13 +381,16 @@ def beside_analysis(health: Health, result: Result) -> Health:
 
 
 def _of_one_scale(health: Health, result: Result) -> Health:
-    """With the analysis' k_T or T_max, where it has one, with its interval."""
+    """With the analysis' k_T or T_max, where it has one, and what it assumes of it."""
     if health.scale is None or (found := result.parameters.get(health.scale[0])) is None:
         return health
     name, of_hover = health.scale
     if found.status == "unobservable" or (known := found.known) is None:
         return health
-    return replace(health, scale=(name, known if known.unit == of_hover.unit else of_hover))
+    said = {o.reason for o in result.objections} | {a["source"] for a in result.assumptions}
+    one = tuple(text for text in health.assumptions if text != health.unit or text in said)
+    scale = name, known if known.unit == of_hover.unit else of_hover
+    return replace(health, scale=scale, assumptions=one)
 
 
 def _as_identified(health: Health, result: Result) -> Health:

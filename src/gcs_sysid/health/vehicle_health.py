@@ -188,6 +188,7 @@ class Health:
         explained_coupled: the same.
         load: for later flights.
         assumptions: behind the intervals, as text.
+        unit: that of them on the unit of rotor speeds, or of the commands used.
         findings: what to look at, the most important first; empty where all is well.
         advice: what to do, of the findings and to know more.
         parameters: of the autopilot as they were in the log.
@@ -236,6 +237,7 @@ class Health:
     battery: tuple[float, float, float] | None = None
     battery_mass: float | None = None
     assumptions: tuple[str, ...] = ()
+    unit: str = ""
     findings: tuple[Finding, ...] = ()
     advice: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)

@@ -86,21 +86,19 @@ def own_units(evidence: Evidence) -> Iterator[Objection]:
         yield Objection(reason, verdict="identified", how=how)
 
 
+REREAD = Objection(
+    "rotor speeds were read as rad/s, because as rpm they could not carry this mass",
+    verdict="partial",
+    how="check --mass (kg) and --arm (m), or the unit that the ESCs send",
+    by="units",
+)
+"""Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
+
+
 def reread_speeds(evidence: Evidence) -> Iterator[Objection]:
-    """Speeds in another unit than declared: either that was wrong, or the mass that judged it."""
-    for found in of_reading(reread=evidence.reread):
-        yield replace(found, parameters=_BY_SCALE, cap="weak")
-
-
-def of_reading(*, reread: bool) -> Iterator[Objection]:
-    """The same, whatever the speeds are for."""
-    if reread:
-        yield Objection(
-            "rotor speeds were read as rad/s, because as rpm they could not carry this mass",
-            verdict="partial",
-            how="check --mass (kg) and --arm (m), or the unit that the ESCs send",
-            by="units",
-        )
+    """Such speeds."""
+    if evidence.reread:
+        yield replace(REREAD, parameters=_BY_SCALE, cap="weak")
 
 
 def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
@@ -468,24 +466,30 @@ def _spins(
     Rotors that share an arm always get nearly the same command: no flight shows which of them is
     the upper one. The same holds for a tilt of all rotors, which adds to their torque.
     """
-    ratio, k_T = found.get("moment_ratio"), found.get("k_T")
-    low, high = RANGES.moment_ratio
+    ratio, k_T = found.get("moment_ratio", 0.0), found.get("k_T")
+    (low, high), least = RANGES.moment_ratio, 0.0
     if not rotor_input.motors and k_T is not None and k_T > 0.0:
         diameter = _diameter(k_T)
-        power = math.sqrt(2.0 * k_T / (math.pi * _AIR)) / (_BEST * airframe.apart)
-        low = max(low * diameter, power)
+        least = math.sqrt(2.0 * k_T / (math.pi * _AIR)) / (_BEST * airframe.apart)
     else:
         # The largest that do not touch their neighbors.
         diameter, low = airframe.apart, 0.0
         high = high if len(airframe.rotors) <= _FEW else RANGES.most_of_many
-    # Below zero it is the sign that is wrong, which the verdict says.
-    if ratio is None or ratio <= 0.0 or _within(ratio, (low, high * diameter)):
+    if ratio <= 0.0:  # it is the sign that is wrong, which the verdict says
+        return
+    if _within(ratio, (low * diameter, high * diameter)):
+        if ratio < least:
+            yield (
+                f"rotor torque at these speeds is {100.0 * ratio / least:.0f} % of the power that "
+                f"air takes from the best propellers that fit an arm of {airframe.arm:.3g} m",
+                "check the unit and pole count of the rotor speeds; or motor order and arm",
+            )
         return
     what = "upper and lower rotors, " if airframe.coaxial else ""
     speeds = "" if rotor_input.motors else "; or the arm, or the unit of the rotor speeds"
-    least = f"{low:.2g} to" if low else "at most"
+    over = f"{low * diameter:.2g} to" if low else "at most"
     yield (
-        f"rotor torque over thrust is {ratio:.2g} m, expected {least} "
+        f"rotor torque over thrust is {ratio:.2g} m, expected {over} "
         f"{high * diameter:.2g} m of propellers of {diameter:.2g} m",
         f"check {what}motor order, spin and tilt of the rotors in the airframe file{speeds}",
     )
@@ -496,9 +500,9 @@ def _diameter(k_T: float) -> float:
     return float((4.0 * math.pi**2 * k_T / (_C_T * _AIR)) ** 0.25)
 
 
-_FEW, _BEST = 4, 0.85
-"""Rotors whose propellers may be small ones; figure of merit of the best, 0.8, times the largest
-diameter over the distance between neighbors."""
+_FEW, _BEST = 4, 0.72
+"""Rotors whose propellers may be small ones; figure of merit of the best, 0.75, times the diameter
+of those that do not touch, over the distance between neighbors."""
 _C_T, _AIR = 0.1, 1.225
 """Thrust coefficient of 0.06 to 0.16, on whose fourth root the diameter depends; kg/m^3."""
 _TRIANGLE = 1.05
