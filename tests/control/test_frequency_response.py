@@ -10,8 +10,10 @@ from benchmarks.response import flown_by_pilot, outcome, true_vehicle
 from benchmarks.tune import ATTITUDE_ONLY, DELAY, LAYOUTS, SETTLE, loop_of
 from gcs_sysid.control.frequency_response import (
     FlownSignals,
+    FrequencyResponse,
     controller_delay,
     flown_signals,
+    lateness,
     measured_response,
     replay,
 )
@@ -125,6 +127,18 @@ def test_a_controller_shows_by_how_much_it_is_later_than_its_law(gusts):
     assert controller_delay(flight, loop, 1) == (0.0, np.inf)
     wrong = FlownSignals((late * np.where(np.arange(9) == 0, -1.0, 1.0),), DT, 2.0 * np.pi * 20.0)
     assert controller_delay(wrong, loop, 0) == (0.0, np.inf)
+
+
+def test_how_much_later_than_modeled_whatever_set_points_answer_to_gusts():
+    omega, model, off = np.geomspace(5.0, 15.0, 12), np.ones((1, 12), complex), []
+    for coherence in (1.0, 0.7):
+        share, std = np.full(12, coherence), np.full(12, 0.02)
+        values = np.exp(-0.006j * omega - 3.0j / omega)
+        found = FrequencyResponse(omega, values, std, std, share, share > 0.6, "set-points")
+        late, error = lateness([(found, model, 10.0)])
+        off.append(abs(late - 0.006) / error)
+    assert off[0] > 2.0 > 1.0 > off[1]
+    assert lateness([]) == (0.0, np.inf)
 
 
 def proportional_loop(gain):

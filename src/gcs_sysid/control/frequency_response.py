@@ -369,27 +369,30 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
     return float(seconds[1]), float(np.sqrt(np.sum(errors[3] ** 2)) / solution[1])
 
 
-def lateness(measured: Iterable[tuple[FrequencyResponse, Array]]) -> tuple[float, float]:
+def lateness(measured: Iterable[tuple[FrequencyResponse, Array, float]]) -> tuple[float, float]:
     """By how much measured responses are later than modeled, by their phase: one delay for all.
 
     Generalized least squares, errors of measurement and of the models together.
 
     Args:
-        measured: with (N, w) models, the nominal one first.
+        measured: with (N, w) models, the nominal one first, and 1/s: gain of an attitude loop by
+            which set-points may have answered to what is not coherent, beyond what is taken out.
 
     Returns:
         S, and its standard deviation; infinite where too little is claimed.
     """
     columns = []
-    for found, model in measured:
+    for found, model, answering in measured:
         at = found.claimed
         turned = np.unwrap(np.angle(found.values[at] / model[:, at]), axis=1)
         std = found.std[at] / np.abs(found.values[at]) / np.sqrt(2.0)
-        columns.append(np.vstack([found.omega[at], std, turned]))
-    omega, std, phase, *drawn = np.hstack(columns) if columns else np.zeros((3, 0))
+        omega, biased = found.omega[at], answering * (1.0 - found.coherence[at]) / found.omega[at]
+        columns.append(np.vstack([omega, std, biased, turned]))
+    omega, std, biased, phase, *drawn = np.hstack(columns) if columns else np.zeros((4, 0))
     if len(omega) < SmoothRatio.FEWEST:
         return 0.0, np.inf
-    errors = np.diag(std**2) + (np.cov(np.array(drawn).T) if len(drawn) > 1 else 0.0)
+    errors = np.diag(std**2) + np.outer(biased, biased)
+    errors += np.cov(np.array(drawn).T) if len(drawn) > 1 else 0.0
     weight = np.linalg.solve(errors, omega)
     late = -float(weight @ phase) / float(weight @ omega)
     left = phase + late * omega

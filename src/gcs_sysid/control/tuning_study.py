@@ -176,7 +176,8 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     alone, which is surer, where filters act behind the logged gyro. Empty: neither is known
     better than the delay that is assumed.
     """
-    vehicle = lateness((each.torque, each.model) for each in measured.values())
+    most = dict(zip(AXES, LIMITS.attitude_most, strict=True))
+    vehicle = lateness((one.torque, one.model, most[name]) for name, one in measured.items())
     laws = [each.late for each in measured.values() if each.late is not None]
     # A gyro's filters are the same for all axes.
     own = min(laws, key=lambda each: each[1]) if laws else (0.0, 0.0)
