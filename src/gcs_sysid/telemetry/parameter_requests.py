@@ -60,6 +60,8 @@ _ARDUPILOT = (
     "MOT_PWM_MIN",
     "MOT_PWM_MAX",
     "MOT_THST_HOVER",
+    "MOT_PWM_TYPE",
+    "SERVO_BLH_POLES",
     "SIM_SPEEDUP",
 )
 _ARDUPILOT_PER_OUTPUT = ("SERVO{0}_FUNCTION",)
@@ -188,7 +190,7 @@ class ParameterRequests:
             for driver, outputs in motor_outputs(vehicle.key, arrived).items():
                 more += [f"{driver}_{end}{outputs.get(0, -1) + 1}" for end in ("MIN", "MAX")]
                 more += [f"{driver}_TIM{group}" for group in range(3)]  # DShot is a rate there
-            more += ("DSHOT_MIN", "DSHOT_3D_ENABLE", "CA_R_REV")
+            more += ("DSHOT_MIN", "DSHOT_3D_ENABLE", "CA_R_REV", "MOT_POLE_COUNT", "DSHOT_MOT_POL1")
         elif arrived.get("MOT_PWM_MIN") == 0.0:  # then the throttle's channel has the range
             more += ("RCMAP_THROTTLE", "RC3_MIN", "RC3_MAX")
         more = [n for n in more if n not in arrived and n not in self._further]
