@@ -13,10 +13,10 @@ from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
 from gcs_sysid.signals.rotor_units import (
     Range,
     are_digital,
-    are_pulses,
     command_range,
     gyro_cutoff,
     normalized,
+    starts_of,
 )
 from testbed.recordings import block_of
 
@@ -353,7 +353,9 @@ def test_numbers_of_dshot_are_no_pulses():
         assert are_digital(source, known, outputs[:, None])
     for source, known in (("motor", {"motorOutput[1]": 2000.0}), ("RCOU", dshot)):
         assert not are_digital(source, known, outputs[:, None])
-    assert are_pulses(outputs).tolist() == [False, True, True]
+    outputs = outputs.astype(float)
+    assert starts_of("motor", outputs, digital=True).tolist() == [48.0] * 3
+    assert starts_of("motor", outputs, digital=False).tolist() == [0.0, 1000.0, 1000.0]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array
 from gcs_sysid.model.airframe import Airframe, CommandRange
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.model.rotor_input import RotorInput
@@ -224,9 +224,11 @@ def are_digital(source: str, parameters: Parameters, values: Array) -> bool:
     return bool(turns.any())
 
 
-def are_pulses(values: Array) -> Mask:
-    """Which outputs may be pulses in us."""
-    return (values >= _LEAST_PULSE) & (values <= 2400.0)
+def starts_of(source: str, values: Array, *, digital: bool) -> Array:
+    """Up to which output a motor stands, for (n, rotors): of pulses 1000 us, of most others 0."""
+    if digital:  # PX4 counts from the first that turns a motor
+        return np.full_like(values, _DSHOT[0] if source == "motor" else 0.0)
+    return np.where((values >= _LEAST_PULSE) & (values <= 2400.0), 1000.0, 0.0)
 
 
 def assumed_unit(

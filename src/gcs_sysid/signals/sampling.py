@@ -17,7 +17,7 @@ from gcs_sysid.signals.records import Samples, Stream
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS, mean_of
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector, family
-from gcs_sysid.signals.rotor_units import RotorSource, are_digital, are_pulses
+from gcs_sysid.signals.rotor_units import RotorSource, are_digital, starts_of
 from gcs_sysid.signals.time_base import Block, TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 
@@ -415,29 +415,26 @@ class Sampler:
             least = _STOPPED_SPEED
             if name in commands:
                 least = _STOPPED_COMMAND
-                # Pulses of stopped motors are at most 1000 us; other units start from zero.
                 # The half is for what interpolation adds.
-                pulses = self._pulses(name, values)
-                values = np.where(pulses & (values <= 1000.5), 0.0, values)
+                start = self._starts(name, values)
+                values = np.where((start > 0.0) & (values <= start + 0.5), 0.0, values)
             values = np.where(values <= least, 0.0, values)
             self._turned[name] = self._turned.get(name, False) or bool((values > 0.0).any())
             np.fmax(turning, values, out=turning)
         return turning
 
-    def _pulses(self, name: str, values: Array) -> Mask:
-        """Which of a source's commands are pulses in us."""
+    def _starts(self, name: str, values: Array) -> Array:
+        """(n, rotors) from where on a source's commands turn a motor."""
         if name not in self._digital and are_digital(name, self.rotor_selector.parameters, values):
             self._digital.add(name)
-        return are_pulses(values) & (name not in self._digital)
+        return starts_of(name, values, digital=name in self._digital)
 
     def _thrust(self, rotors: dict[str, Array], commands: set[str], n: int) -> Array:
         """(n, 2) mean over rotors of squared speeds, and of commands: what thrust grows with."""
         out = np.full((n, 2), np.nan)
         for name, values in rotors.items():
             if name in commands:
-                # Pulses start from 1000 us.
-                pulses = self._pulses(name, values)
-                values = np.where(pulses, np.maximum(values - 1000.0, 0.0), values)
+                values = np.maximum(values - self._starts(name, values), 0.0)
             else:
                 values = values**2
             k = int(name in commands)
