@@ -28,9 +28,10 @@ from gcs_sysid.results.history import Acceleration
 from gcs_sysid.results.parameter_samples import ParameterSamples
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.result_file import read_result
-from gcs_sysid.session.chain import HISTORY_INTERVAL, WINDOW, Chain, ChainOptions
+from gcs_sysid.session.chain import HISTORY_INTERVAL, Chain, ChainOptions
 from gcs_sysid.signals.columns import Track
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.sampling import WINDOW
 from gcs_sysid.telemetry.track_collector import in_order
 from gcs_sysid.twin.measured_flight import FlightRecorder
 from gcs_sysid.twin.twin_flight import TwinFlight

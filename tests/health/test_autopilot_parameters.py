@@ -213,7 +213,8 @@ def test_the_line_of_motor_currents_is_one_for_all_motors_and_moves_as_a_whole()
     thrust, commanded = (np.tile(0.4 + 0.05 * np.sin(x[:, None]), 4) for x in (t, at))
     flown = SimpleNamespace(t=t, half=0.5, commands=thrust, squares=0.0 * thrust, idle=t < 0.0)
     currents = 6.9 * commanded + 0.4 + np.random.default_rng(1).normal(0.0, 0.1, commanded.shape)
-    streams = SimpleNamespace(start=5.0, extras={"motor currents": (at + 5.0, currents)})
+    streams = SimpleNamespace(flight=SimpleNamespace(start=5.0), extras={})
+    streams.extras["motor currents"] = at + 5.0, currents
     line = motor_current(streams, flown, 0.0)
 
     def verdicts(slope, idle, line=line):

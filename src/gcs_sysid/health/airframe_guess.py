@@ -16,9 +16,9 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.errors import NoAnswerError
-from gcs_sysid.health.hover import Averager, flight_of
+from gcs_sysid.health.hover import Averager
 from gcs_sysid.health.hover_tuning import TUNING
-from gcs_sysid.health.log_streams import Streams, rate_of, streams_of
+from gcs_sysid.health.log_streams import Streams, flight_in, rate_of, streams_in, streams_of
 from gcs_sysid.model.airframe import Airframe, Rotor, load_airframe
 from gcs_sysid.session.reported_layout import (
     ReportedLayout,
@@ -180,7 +180,7 @@ def layout_by_motion(
     streams = streams_of(blocks, airframe, autopilot, parameters)
     count = len(airframe.rotors)
     delays = (0.0,) if streams.speeds else TUNING.order_delays
-    seen = [*_motions(streams, count, TUNING.order_windows, delays)]
+    seen = [*_motions(streams, TUNING.order_windows, delays)]
     if not seen:
         return guess, streams
     own = max((_explained(airframe.geometry, *motion) for motion in seen), key=_least)
@@ -300,13 +300,14 @@ def _of_as_many_as_carry(
     parameters: Mapping[str, float],
 ) -> GuessedAirframe:
     """The guess with more rotors, where more do what the first four do."""
+    flight, tracks = flight_in(blocks, guess.airframe, autopilot, parameters)
     for count in _COUNTS:
         if count <= len(guess.airframe.rotors):
             break
         rotors = usual_layouts(count)[f"{_KINDS[count]} x"]
         wider = Airframe(f"{_KINDS[count]}-x", rotors).with_arm(guess.airframe.arm)
-        streams = streams_of(blocks, wider, autopilot, parameters)
-        motion = next(_motions(streams, count, TUNING.order_windows[:1], (0.0,)), None)
+        streams = streams_in(flight, tracks, wider, autopilot, parameters)
+        motion = next(_motions(streams, TUNING.order_windows[:1], (0.0,)), None)
         if motion is None:
             continue
         thrust, _ = motion
@@ -321,13 +322,12 @@ def _of_as_many_as_carry(
 
 
 def _motions(
-    streams: Streams, rotors: int, halves: Sequence[float], delays: Sequence[float]
+    streams: Streams, halves: Sequence[float], delays: Sequence[float]
 ) -> Iterator[tuple[Array, Array]]:
     """(n, rotors) thrust over its mean and (n, 3) rad/s^2 in flight, where there is enough.
 
     Args:
         streams: of the flight.
-        rotors: their number.
         halves: s, half widths of the windows.
         delays: s, each by which thrust may lag behind the rotor stream.
     """
@@ -338,15 +338,14 @@ def _motions(
     slowest = min(source.rate, rate_of(times))
     if slowest <= 0.0:
         return
-    grid, flying = flight_of(streams, rotors)
-    if not flying.any():
+    if not streams.flight.flying.any():
         return
     power = 1 if source.range is not None else 2
     gyro = Averager(times, imu[:, :3])
     thrusts = [Averager(at, v**power) for at, v in source.samples]
     for half in (max(half, 2.0 / slowest) for half in halves):
-        t = np.arange(half, float(grid[-1]) - half, half)
-        t = t[flying[np.clip(np.searchsorted(grid, t), 0, len(grid) - 1)]]
+        t = np.arange(half, float(streams.flight.t[-1]) - half, half)
+        t = t[streams.flight.at(t)]
         turning = gyro.means(t, half, slope=True)
         for delay in delays:
             thrust = np.hstack([one.means(t - delay, half) for one in thrusts])

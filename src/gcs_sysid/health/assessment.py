@@ -25,7 +25,7 @@ from gcs_sysid.health.drive_health import (
     vibration_of,
     with_throttle,
 )
-from gcs_sysid.health.hover import Windows, during, flight_of, lines_of, sensors_of, windows_of
+from gcs_sysid.health.hover import Windows, lines_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
@@ -241,21 +241,20 @@ def health_of(
     airframe, scale = guess.airframe, 1.0
     if problem := _missing(streams):
         return _refused(*problem, airframe=airframe)
-    flight = flight_of(streams, len(airframe.rotors))
-    if (speeds := streams.speeds) is not None and len(flight[0]):
-        flown = [v[during(flight, t)] for t, v in speeds.samples]
+    if (speeds := streams.speeds) is not None and len(streams.flight.t):
+        flown = [v[streams.flight.at(t)] for t, v in speeds.samples]
         mass = airframe.mass if all(map(len, flown)) and not guess.arm_std else None
         scale = speed_scale(speeds.source, flown, airframe, mass, parameters)
         read = tuple((t, scale * v) for t, v in speeds.samples)
         streams = replace(streams, speeds=replace(speeds, samples=read))
-    gyro, saturated = sensors_of(streams, flight)
-    sensors = tuple(of_sensors(gyro, saturated, parameters))
+    saturated = streams.flight.saturated
+    sensors = tuple(of_sensors(streams.flight.gyro, saturated, parameters))
     # A gyro that misreads contradicts any motor order.
     turns_shown = not any(objection.by == "gyro" for objection in sensors)
     if guess.as_flown and turns_shown:
         reason, how = _AS_FLOWN
         return _contradicted(airframe, reason.format(guess.origin, guess.as_flown), how)
-    windows = windows_of(streams, len(airframe.rotors), flight)
+    windows = windows_of(streams, len(airframe.rotors))
     windows = windows.part((windows.t >= span[0]) & (windows.t <= span[1]))
     own, own_name = _own_curve(parameters)
     curve = None
@@ -289,7 +288,7 @@ def health_of(
                 ranged.append(thrust_of(of_range.part(sound), bent.c.value))
         commanded = Commanded.of(hover, curve, ranged)
     health = _balances(streams, hover, thrust, commanded, guess, motors=rotor_input.motors)
-    load, lines = load_of(hover, thrust, c), lines_of(streams, flight, airframe.geometry[2])
+    load, lines = load_of(hover, thrust, c), lines_of(streams, airframe.geometry[2])
     health = replace(
         health,
         rotor_input=rotor_input,

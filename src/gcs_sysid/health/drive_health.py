@@ -16,7 +16,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health import balance
 from gcs_sysid.health.command_curve import Commanded, Curve, gentle_of, thrust_of
-from gcs_sysid.health.hover import Windows, held, variations_of_lift, windowed_means
+from gcs_sysid.health.hover import Windows, variations_of_lift, windowed_means
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.health.vehicle_health import Health, HoverCommand, MotorCurrent
@@ -119,7 +119,7 @@ def _logged(streams: Streams, name: str, hover: Windows, unit: Array | float = 1
     if name not in streams.extras:
         return None
     t, values = streams.extras[name]
-    t, first = np.unique(t - streams.start, return_index=True)
+    t, first = np.unique(t - streams.flight.start, return_index=True)
     means = windowed_means(t, values.reshape(len(values), -1)[first], hover.t, hover.half)
     found = (means[:, 0] * unit)[np.isfinite(means[:, 0])]
     return balance.usual_of(found) if len(found) > 1 else None
@@ -170,7 +170,9 @@ def motor_current(streams: Streams, windows: Windows, c: float) -> MotorCurrent 
     t, currents = streams.extras.get("motor currents", (np.empty(0), np.empty((0, 0))))
     if currents.shape[1] != windows.commands.shape[1]:
         return None
-    amperes = windowed_means(t - streams.start, currents, windows.t, windows.half).mean(axis=1)
+    amperes = windowed_means(t - streams.flight.start, currents, windows.t, windows.half).mean(
+        axis=1
+    )
     thrust = thrust_of(windows, c).mean(axis=1)
     there = complete_rows(np.column_stack([amperes, thrust])) & ~windows.idle & (amperes > 0.0)
     amperes, thrust = amperes[there], thrust[there]
@@ -199,7 +201,8 @@ def idle_output(streams: Streams) -> float | None:
     for (t, output), (speed_t, speed) in zip(
         streams.commands.outputs, streams.speeds.samples, strict=True
     ):
-        turning = held(speed_t, speed, t, 0.5) > 0.0
+        last = np.maximum(np.searchsorted(speed_t, t, side="right") - 1, 0)
+        turning = (speed[last] > 0.0) & (np.abs(t - speed_t[last]) < 0.5)
         later = np.searchsorted(t, t - 1.0)
         stays = (output == output[later]) & (t - t[0] > 1.0) & (output > output.min())
         run = np.append(0.0, np.cumsum(~turning | (output != np.roll(output, 1))))

@@ -21,9 +21,6 @@ from gcs_sysid.arrays import Array, Mask, complete_rows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.signals.flight_detection import FlightDetector
-from gcs_sysid.signals.imu_checks import RULES as GYRO_CHECK
-from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, GyroCheck, Saturated, Saturation
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_readings import RotorLines
@@ -159,20 +156,14 @@ class Windows:
         )
 
 
-def windows_of(streams: Streams, rotors: int, flight: tuple[Array, Mask] | None = None) -> Windows:
-    """Average all streams over windows in flight.
-
-    Args:
-        streams: of a log.
-        rotors: how many.
-        flight: as of `flight_of`; None: that.
-    """
+def windows_of(streams: Streams, rotors: int) -> Windows:
+    """Average all streams, of so many rotors, over windows in flight."""
     used = [s.rate for s in (streams.speeds, streams.commands) if s is not None]
     slowest = min([*used, streams.rate(Stream.IMU) or TUNING.enough_rate])
     half = max(TUNING.half_window, TUNING.samples_a_half / slowest)
-    flying_t, flying = flight_of(streams, rotors) if flight is None else flight
+    flying_t = streams.flight.t
     t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
-    aloft = np.append(0.0, np.cumsum(~flying))
+    aloft = np.append(0.0, np.cumsum(~streams.flight.flying))
     first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
     t = t[(aloft[last] - aloft[first] == 0.0) & (last > first)]
 
@@ -425,110 +416,15 @@ def _hovering(rates: Array, turning: Array, lift: Array, force: Array, speed: Ar
     return hovering
 
 
-def flight_of(streams: Streams, rotors: int) -> tuple[Array, Mask]:
-    """(n,) s and whether it flies, by the detector of the chain."""
-    source = streams.speeds or streams.commands
-    ends = [t[-1] for t, _ in streams.tracks.values()]
-    if source is None or not ends:
-        return np.empty(0), np.empty(0, bool)
-    grid = np.arange(0.0, float(max(ends)) + TUNING.judged_every, TUNING.judged_every)
-
-    def state(stream: Stream) -> Array:
-        times, values = streams.tracks.get(stream, (np.empty(0), np.empty((0, 1))))
-        return held(times, values[:, 0], grid) if len(times) else np.full(len(grid), np.nan)
-
-    speeds = np.column_stack([held(t, v, grid) for t, v in source.samples])
-    position = np.full((len(grid), 3), np.nan)
-    if Stream.VELOCITY in streams.tracks:
-        times, values = streams.tracks[Stream.VELOCITY]
-        position = np.column_stack([held(times, column, grid) for column in values[:, 3:6].T])
-    reported, armed = state(Stream.IN_AIR), state(Stream.ARMED)
-    imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
-    felt = windowed_means(imu_t, imu[:, :6], grid, TUNING.judged_every)
-    thrust = np.column_stack(
-        [_mean_effort(streams.speeds, grid, 2), _mean_effort(streams.commands, grid, 1)]
-    )
-    seen_by_imu = felt[:, 3:], felt[:, :3], thrust
-    detector = FlightDetector()
-    flying = detector.update(grid, reported, armed, speeds, position, *seen_by_imu)
-    effort = np.nan_to_num(speeds**2).sum(axis=1)
-    carrying = effort > TUNING.carrying * float(np.percentile(effort, 99.0))
-    seen = np.count_nonzero(flying & carrying) >= TUNING.least_seen * np.count_nonzero(carrying)
-    if not (seen and flying.any()) and not np.isfinite(reported).any():
-        # Thrown by hand, or landed lower than it took off: rotors that carry must do.
-        nowhere = np.full_like(position, np.nan)
-        flying = FlightDetector().update(grid, reported, armed, speeds, nowhere, *seen_by_imu)
-        flying &= carrying
-    for start, end in detector.ground_test.stood:
-        flying &= (grid < start) | (grid >= end)
-    return grid, flying
-
-
-def sensors_of(
-    streams: Streams, flight: tuple[Array, Mask]
-) -> tuple[GyroAgainstAttitude | None, tuple[Saturated, ...]]:
-    """What the gyro reads of what the attitude turns in flight, and sensors at a limit."""
-    t, imu = streams.tracks[Stream.IMU]
-    saturation, check = Saturation(), GyroCheck()
-    attitude_t, q = streams.tracks.get(Stream.ATTITUDE, (np.empty(0), np.empty((0, 4))))
-    # q and -q are one attitude.
-    turned_over = np.append(1.0, np.sign((q[1:] * q[:-1]).sum(axis=1)))
-    q = q * np.cumprod(np.where(turned_over < 0.0, -1.0, 1.0))[: len(q), None]
-    grid, flying = flight
-    at_once = 65536
-    for first in range(0, len(t), at_once):
-        saturation.update(t[first : first + at_once], imu[first : first + at_once, :6])
-    if len(attitude_t) and len(grid):
-        joined = np.union1d(t, attitude_t)
-        flies = flying[np.clip(np.searchsorted(grid, joined, side="right") - 1, 0, None)]
-        flies &= (joined >= t[0]) & (joined <= t[-1])
-        gyro = np.column_stack([np.interp(joined, t, column) for column in imu[:, :3].T])
-        reported = np.column_stack([np.interp(joined, attitude_t, column) for column in q.T])
-        after = np.clip(np.searchsorted(attitude_t, joined), 1, max(len(attitude_t) - 1, 1))
-        near = (attitude_t[after] - attitude_t[after - 1] < GYRO_CHECK.interval) & (
-            joined <= attitude_t[-1]
-        )
-        check.update(
-            joined, np.where(flies[:, None], gyro, np.nan),
-            np.where(near[:, None], reported, np.nan), own=np.isin(joined, attitude_t),
-        )  # fmt: skip
-    return check.result(), saturation.found()
-
-
-def during(flight: tuple[Array, Mask], t: Array) -> Mask:
-    """(n,) whether it flew at (n,) s, by what `flight_of` gives of any flight."""
-    grid, flying = flight
-    out: Mask = flying[np.clip(np.searchsorted(grid, t, side="right") - 1, 0, None)]
-    return out
-
-
-def lines_of(streams: Streams, flight: tuple[Array, Mask], spin: Array) -> RotorLines:
+def lines_of(streams: Streams, spin: Array) -> RotorLines:
     """What the IMU shows of the speeds read in flight, by rotors of (rotors,) 1 or -1."""
     lines = RotorLines(spin)
-    if streams.speeds is None or not len(flight[0]):
+    if streams.speeds is None or not len(streams.flight.t):
         return lines
     (t, imu), dt = streams.tracks[Stream.IMU], 1.0 / streams.rate(Stream.IMU)
-    felt = np.where(during(flight, t)[:, None], imu[:, :6], np.nan)
+    felt = np.where(streams.flight.at(t)[:, None], imu[:, :6], np.nan)
     speeds = np.column_stack([np.interp(t, *rotor) for rotor in streams.speeds.samples])
     ends = np.flatnonzero(np.diff(t) > 2.5 * dt) + 1
     for first, stop in pairwise([0, *ends.tolist(), len(t)]):
         lines.update(dt, felt[first:stop], speeds[first:stop], fresh=True)
     return lines
-
-
-def _mean_effort(stream: RotorStream | None, grid: Array, power: int) -> Array:
-    """(n,) what thrust grows with, over all rotors; NaN where it is not known."""
-    if stream is None:
-        return np.full(len(grid), np.nan)
-    half = max(TUNING.judged_every, 1.0 / stream.rate)
-    means = [windowed_means(t, v**power, grid, half)[:, 0] for t, v in stream.samples]
-    out: Array = np.mean(means, axis=0)
-    return out
-
-
-def held(times: Array, values: Array, grid: Array, seconds: float = TUNING.state_holds) -> Array:
-    """(n,) the last value reported, for so many seconds; NaN after that and before the first."""
-    i = np.searchsorted(times, grid, side="right") - 1
-    known = (i >= 0) & (grid - times[np.maximum(i, 0)] < seconds)
-    out: Array = np.where(known, values[np.maximum(i, 0)], np.nan)
-    return out

@@ -31,8 +31,6 @@ class HoverTuning:
         crosstalk: of the angular acceleration in roll or pitch, what the other may get of it.
         surely_explained: share from which on an airframe's rotors surely turn the vehicle.
         carrying: of the most that the rotors do, from which they may carry the vehicle.
-        least_seen: share of the time in which rotors carry, below which heights do not prove
-            flight.
         most_rate: rad/s, in hover.
         most_turning: rad/s^2, mean over a window.
         most_lift: relative deviation of thrust over mass from gravity.
@@ -111,8 +109,6 @@ class HoverTuning:
         nyquist_share: of half of the IMU's rate, below which a rotor's frequency is seen.
         fewest_stretches: for an amplitude.
         stretches_at_once: worked on together.
-        judged_every: s between the instants at which flight is judged.
-        state_holds: s for which a state (armed, in the air) holds after it was reported.
         instrument_lags: windows before, of the commands that are instruments: beyond the windows'
             overlap and the memory of gusts (0.3 s).
         curve_floor: standard deviation of c that no flight goes below: motor lag, battery. Of
@@ -150,7 +146,6 @@ class HoverTuning:
     crosstalk: float = 0.05
     surely_explained: float = 0.2
     carrying: float = 0.2
-    least_seen: float = 0.1
     most_rate: float = 0.5
     most_turning: float = 3.0
     most_lift: float = 0.15
@@ -207,8 +202,6 @@ class HoverTuning:
     nyquist_share: float = 0.9
     fewest_stretches: int = 10
     stretches_at_once: int = 64
-    judged_every: float = 0.1
-    state_holds: float = 3.0
     instrument_lags: tuple[int, ...] = (2, 3, 4, 5, 6)
     curve_floor: float = 0.008
     gusts_beside: float = 1.3

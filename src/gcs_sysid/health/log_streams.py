@@ -6,14 +6,20 @@ from functools import cached_property
 
 import numpy as np
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
+from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.motor_order import MotorOrder, in_any_order, out_of_order
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_readings import held_reading, odd_reading, together, unbalanced_reading
-from gcs_sysid.signals.rotor_source_selector import beside_escs, family, preference
+from gcs_sysid.signals.rotor_source_selector import (
+    RotorSourceSelector,
+    beside_escs,
+    family,
+    preference,
+)
 from gcs_sysid.signals.rotor_units import (
     UNSIGNED,
     Range,
@@ -22,13 +28,12 @@ from gcs_sysid.signals.rotor_units import (
     seen_of,
     turns_either_way,
 )
+from gcs_sysid.signals.sampling import Sampler
 
 _LONGEST = 200_000.0
 """s of a log; what is stamped later is damaged."""
 _CHANGE = 0.05
 """Share of its mean by which a speed changes in a flight; rounding to 100 rpm is half of that."""
-_BOOT_GAP = 1000.0
-"""s put between two boots, so that time goes on."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +67,36 @@ class RotorStream:
 
 
 @dataclass(frozen=True)
-class Streams:
-    """The streams of one log that hovering needs, on one time axis.
+class Flight:
+    """When a vehicle flies, and how its IMU reads, as an analysis has it.
 
     Attributes:
-        start: s on the vehicle's clock, of time zero.
+        start: s on the vehicle's clock, of the session's time zero.
+        t: (n,) s of the session.
+        flying: (n,) whether it flies then.
+        gyro: what it reads of what the attitude turns.
+        saturated: sensors at a limit.
+    """
+
+    start: float
+    t: Array
+    flying: Mask
+    gyro: GyroAgainstAttitude | None = None
+    saturated: tuple[Saturated, ...] = ()
+
+    def at(self, t: Array) -> Mask:
+        """(n,) whether it flies at (n,) s."""
+        before = np.searchsorted(self.t, t, side="right") - 1
+        flies: Mask = self.flying[np.maximum(before, 0)] & (before >= 0)
+        return flies
+
+
+@dataclass(frozen=True)
+class Streams:
+    """The streams of one log that hovering needs, on the session's time.
+
+    Attributes:
+        flight: in it.
         tracks: stream -> (n,) s and (n, width) values; IMU, attitude, velocity, states.
         speeds: the best source of measured speeds; None: none covers all rotors.
         commands: the best source of commands; None likewise.
@@ -76,7 +106,7 @@ class Streams:
         extras: as of `telemetry.track_collector.Recording`.
     """
 
-    start: float
+    flight: Flight
     tracks: Mapping[Stream, tuple[Array, Array]]
     speeds: RotorStream | None
     commands: RotorStream | None
@@ -98,13 +128,13 @@ def rate_of(t: Array) -> float:
     return 1.0 / float(np.median(steps)) if len(steps) else 0.0
 
 
-def streams_of(
+def flight_in(
     blocks: Iterable[RecordBlock],
     airframe: Airframe,
     autopilot: str,
     parameters: Mapping[str, float],
-) -> Streams:
-    """Gather the streams of a log.
+) -> tuple[Flight, list[Track]]:
+    """When the vehicle flies, and the log's tracks on the session's time, which rises.
 
     Args:
         blocks: of the chosen vehicle.
@@ -112,26 +142,57 @@ def streams_of(
         autopilot: "px4", "ardupilot" or another key.
         parameters: the autopilot's.
     """
+    selector = RotorSourceSelector(airframe, None)
+    selector.autopilot = autopilot
+    for name, value in parameters.items():
+        selector.learn(name, value)
+    sampler = Sampler(selector, len(airframe.rotors))
     tracks: list[Track] = []
-    order = MotorOrder.of(autopilot, parameters, len(airframe.rotors))
-    boots: list[int] = []
+    samples = []
     for block in blocks:
-        boots += [order for order, event in block.events if event.kind == "reboot"]
-        tracks += order.tracks(block.tracks)
-    joined = {key: _steady(track, boots) for key, track in by_key(tracks).items()}
-    starts = [float(track.t[0]) for track in joined.values() if len(track.t)]
-    start = min(starts, default=0.0)
-    end = start + _LONGEST
-    joined = {
-        key: track.part(slice(int(np.searchsorted(track.t, end)))) for key, track in joined.items()
-    }
+        known = max(len(sampler.boots) - 1, 0)
+        samples += [(each.t, each.flying) for each in sampler.feed_records(block)]
+        boots = sampler.boots[known:]
+        tracks += [_in_session(track, boots) for track in block.tracks if len(track.t)]
+    samples += [(each.t, each.flying) for each in sampler.finish()]
+    t = np.concatenate([t for t, _ in samples] or [np.empty(0)])
+    flying = np.concatenate([flies for _, flies in samples] or [np.empty(0, bool)])
+    t, flying = t[t < _LONGEST], flying[t < _LONGEST]
+    for start, end in sampler.flight_detector.ground_test.stood:
+        flying &= (t < start) | (t >= end)
+    start = sampler.boots[0][1] if sampler.boots else 0.0
+    gyro, saturation = sampler.gyro_check.result(), sampler.time_base.saturation
+    flight = Flight(start, t, flying, gyro, saturation.found())
+    return flight, [_steady(track) for track in by_key(tracks).values()]
+
+
+def streams_of(
+    blocks: Iterable[RecordBlock],
+    airframe: Airframe,
+    autopilot: str,
+    parameters: Mapping[str, float],
+) -> Streams:
+    """Gather the streams of a log; arguments as of `flight_in`."""
+    flight, tracks = flight_in(blocks, airframe, autopilot, parameters)
+    return streams_in(flight, tracks, airframe, autopilot, parameters)
+
+
+def streams_in(
+    flight: Flight,
+    tracks: Iterable[Track],
+    airframe: Airframe,
+    autopilot: str,
+    parameters: Mapping[str, float],
+) -> Streams:
+    """The streams in what `flight_in` gives, whose arguments the others are."""
+    order = MotorOrder.of(autopilot, parameters, len(airframe.rotors))
     plain: dict[Stream, tuple[Array, Array]] = {}
     rotors: dict[tuple[Stream, str], list[Track]] = {}
-    for (stream, source, _), track in joined.items():
-        if stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND):
-            rotors.setdefault((stream, family(source)), []).append(track)
-        elif stream is not Stream.PARAMETER and len(track.t) > 1:
-            plain[stream] = track.t - start, track.values
+    for track in order.tracks(tracks):
+        if track.stream in (Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND):
+            rotors.setdefault((track.stream, family(track.source)), []).append(track)
+        elif track.stream is not Stream.PARAMETER and len(track.t) > 1:
+            plain[track.stream] = track.t, track.values
     refused: dict[str, str] = {}
     misread: dict[str, str] = {}
     count = len(airframe.rotors)
@@ -142,7 +203,7 @@ def streams_of(
     ]
     found: dict[Stream, list[RotorStream]] = {}
     for (stream, name), parts in rotors.items():
-        samples = _per_rotor(parts, count, start)
+        samples = _per_rotor(parts, count)
         problem = _problem(samples, count)
         if stream is Stream.ROTOR_SPEED:
             unsigned = UNSIGNED if turns_either_way(parameters) else ""
@@ -192,7 +253,7 @@ def streams_of(
         misread = {name: why for name, why in misread.items() if in_any_order(name) != own}
     doubt = order.doubt(commands.source) if commands is not None and speeds is None else ""
     doubts = (f"{commands.source} {doubt}",) if commands is not None and doubt else ()
-    return Streams(start, plain, speeds, commands, refused | misread, misread, doubts)
+    return Streams(flight, plain, speeds, commands, refused | misread, misread, doubts)
 
 
 def _turning(stream: RotorStream) -> Array:
@@ -203,30 +264,28 @@ def _turning(stream: RotorStream) -> Array:
     return out
 
 
-def _steady(track: Track, boots: Sequence[int]) -> Track:
-    """The samples with a time that rises, also over reboots."""
-    t = track.t + _BOOT_GAP * np.searchsorted(np.asarray(boots), track.order, side="right")
-    for boot in boots:  # what the clock lost in a reboot
-        after = track.order >= boot
-        if after.any() and not after.all():
-            last, first = float(t[~after][-1]), float(t[after][0])
-            if first <= last:
-                t = np.where(after, t + last - first + _BOOT_GAP, t)
-    steady = replace(track, t=t)
-    steps = np.diff(t)
-    if not (steps >= 0.0).all():
-        steady = steady.part(np.argsort(t, kind="stable"))
-        steps = np.diff(steady.t)
-    return steady if (steps > 0.0).all() else steady.part(np.append(True, steps > 0.0))
+def _in_session(track: Track, boots: Sequence[tuple[int, float]]) -> Track:
+    """A track of a block on the session's time, by the boot in force before it and those in it."""
+    orders, zeros = zip(*boots, strict=True)
+    boot = np.searchsorted(orders[1:], track.order, side="right")
+    return replace(track, t=track.t - np.array(zeros)[boot])
 
 
-def _per_rotor(parts: Sequence[Track], count: int, start: float) -> tuple[tuple[Array, Array], ...]:
+def _steady(track: Track) -> Track:
+    """The samples with a time that rises, and is that of a log."""
+    if (np.diff(track.t) < 0.0).any():
+        track = track.part(np.argsort(track.t, kind="stable"))
+    sound = (np.diff(track.t, prepend=-np.inf) > 0.0) & (track.t < _LONGEST)
+    return track if sound.all() else track.part(sound)
+
+
+def _per_rotor(parts: Sequence[Track], count: int) -> tuple[tuple[Array, Array], ...]:
     """Times and values of each rotor that there is, up to `count`, in order."""
     out: list[tuple[Array, Array]] = []
     for track in sorted(parts, key=lambda track: track.offset):
         if track.offset != len(out):
             continue
-        t, whole = track.t - start, bool(np.isfinite(track.values).all())
+        t, whole = track.t, bool(np.isfinite(track.values).all())
         for column in track.values.T:
             if whole:
                 out.append((t, np.ascontiguousarray(column)))

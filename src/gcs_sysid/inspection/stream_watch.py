@@ -12,7 +12,6 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, RotorFacts, RotorMessage
 from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
-from gcs_sysid.session.chain import WINDOW
 from gcs_sysid.signals.columns import RecordBlock, stacked
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
@@ -89,10 +88,7 @@ class ChainWatch:
 
     def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
-        for part in block.windows(WINDOW):
-            for _, record_of in part.parameters:
-                self._rotor_selector.learn(record_of.source, record_of.values[0])
-            self._note(self._sampler.feed_tracks(part.tracks))
+        self._note(self._sampler.feed_records(block))
 
     def finish(self) -> None:
         """Nothing follows."""

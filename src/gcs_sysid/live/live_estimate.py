@@ -281,6 +281,8 @@ class HoverWatch:
         self._looked = -np.inf
         self._now = -np.inf
         self._named: int | None = None
+        self._number = 0
+        """Of the next record: each block of a link counts from 0."""
 
     def add_records(self, block: RecordBlock) -> None:
         """The next records."""
@@ -288,9 +290,12 @@ class HoverWatch:
             self._kept, self._fresh = [], []
             self._looked = self._now = -np.inf
             self._named = None
+        number = self._number
         for track in block.tracks:
             if track.stream is not Stream.PARAMETER and len(track.t):
-                self._fresh.append(track)
+                order = track.order + number
+                self._fresh.append(replace(track, order=order))
+                self._number = max(self._number, int(order[-1]) + 1)
                 self._now = max(self._now, float(track.t[-1]))
         if len(self._fresh) > _MOST_WAITING:
             self._join()
@@ -326,5 +331,6 @@ class HoverWatch:
     def _join(self) -> None:
         joined = by_key([*self._kept, *by_key(self._fresh).values()])
         oldest = self._now - _KEPT
-        self._kept = [track.part(track.t >= oldest) for track in joined.values()]
+        parts = (track.part(track.t >= oldest) for track in joined.values())
+        self._kept = [part for part in parts if len(part.t)]
         self._fresh = []

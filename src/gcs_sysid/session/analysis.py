@@ -10,11 +10,11 @@ from typing import Protocol
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import Airframe, ScaleReference
 from gcs_sysid.results.result import Result
-from gcs_sysid.session.chain import WINDOW, Chain, ChainOptions
+from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.sampling import SampleBlock, Sampler
+from gcs_sysid.signals.sampling import WINDOW, SampleBlock, Sampler
 from gcs_sysid.telemetry.logs import Log, open_log
 
 
@@ -153,10 +153,7 @@ def aligned_samples(log: Log, airframe: Airframe) -> Iterator[SampleBlock]:
     for block in log.blocks():
         if log.vehicle is not None:
             selector.autopilot = log.vehicle.key
-        for window in block.windows(WINDOW):
-            for _, parameter in window.parameters:
-                selector.learn(parameter.source, parameter.values[0])
-            yield from sampler.feed_tracks(window.tracks)
+        yield from sampler.feed_records(block)
     yield from sampler.finish()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.model import attitude
 from gcs_sysid.model.parameters import GRAVITY
-from gcs_sysid.signals.columns import Track
+from gcs_sysid.signals.columns import RecordBlock, Track
 from gcs_sysid.signals.complementary import ComplementaryFilter
 from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.imu_checks import GyroCheck
@@ -21,6 +21,8 @@ from gcs_sysid.signals.rotor_units import RotorSource, are_digital, starts_of
 from gcs_sysid.signals.time_base import Block, TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
 
+WINDOW = 8192
+"""IMU samples that are best taken at once."""
 _STEP_BACK = 1.0
 """s; records further back than this are not late: the clock was set back."""
 
@@ -148,6 +150,8 @@ class Sampler:
         """The gyro against the reported attitude, in flight."""
         self._filter: ComplementaryFilter | None = None
         self._jumps = VelocityJumps()
+        self.boots: list[tuple[int, float]] = []
+        """Order of the first sample of each, and s of its clock at the session's time zero."""
         self._first: float | None = None
         self._began = self._newest = 0.0
 
@@ -164,6 +168,13 @@ class Sampler:
         order = self.rotor_selector.order
         names = ", ".join(name + order.unknown(name) for name in sorted(self._turned))
         return f"never seen in the air: no rotor turns by {names}"
+
+    def feed_records(self, block: RecordBlock) -> Iterator[SampleBlock]:
+        """Take records that follow each other, parameters too; as of `feed_tracks`."""
+        for part in block.windows(WINDOW):
+            for _, parameter in part.parameters:
+                self.rotor_selector.learn(parameter.source, parameter.values[0])
+            yield from self.feed_tracks(part.tracks)
 
     def feed_tracks(self, tracks: Sequence[Track]) -> Iterator[SampleBlock]:
         """Take samples that follow each other, with their orders; the next blocks, one by one.
@@ -196,6 +207,7 @@ class Sampler:
             order, t = order[sorting], t[sorting]
             if self._first is None:
                 self._first = self._began = self._newest = float(t[0])
+                self.boots.append((int(order[0]), self._began))
             newest = np.maximum.accumulate(np.concatenate([[self._newest], t]))
             back = t < newest[:-1] - _STEP_BACK
             stop = int(np.argmax(back)) if back.any() else len(t)
@@ -208,6 +220,7 @@ class Sampler:
             self._began += float(t[stop]) - self._newest
             self._newest = float(t[stop])
             rows = int(order[stop]), int(order[-1]) + 1
+            self.boots.append((rows[0], self._began))
             left = [part for track in left if len((part := track.between(*rows)).t)]
 
     def _inside(self, tracks: Iterable[Track]) -> Iterator[Track]:
