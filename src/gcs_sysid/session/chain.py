@@ -152,9 +152,6 @@ class ChainEvents:
             self.note(t, "rotor speeds frozen under new timestamps: not used")
 
 
-WINDOW = 8192
-"""IMU samples that are best taken at once."""
-
 HISTORY_INTERVAL = 0.5
 """s between the instants of the estimates' history in reports and notebooks."""
 
@@ -461,7 +458,13 @@ class Chain:
             self._report_loss(self.rotors.name, block.newest_at)
         for observer in self.observers:
             observer(block)
-        if self.rotors is None:
+        left = self.sampler.flight_detector.first_left
+        began = None if self.tracker is None else self.tracker.start
+        if began is not None and began < left:
+            self.log.note(block.newest_at, "it has stood so far: the estimate restarts")
+            self._forget_estimate()
+        block = block.since(int(np.searchsorted(block.t, left)))
+        if self.rotors is None or not len(block.t):
             return
         tracker = self.tracker
         if tracker is None or tracker.dt != block.dt:

@@ -241,6 +241,12 @@ class FlightDetector:
         self._still: tuple[float, float, Array] | None = None
         self.ground_test = GroundTest()
 
+    @property
+    def first_left(self) -> float:
+        """S until which it has only stood, as turned out so far."""
+        until = [end for start, end in self.ground_test.stood if math.isinf(start)]
+        return max(until, default=-math.inf)
+
     def update(
         self,
         t: Array,
@@ -440,6 +446,7 @@ class FlightDetector:
                     stood = stood.copy()
                     stood[first] = down
                     stood_at[first] = at
+                    self.ground_test.stood.append((-math.inf, at))
         ground = _held(stood, self._ground)
         self._ground = float(ground[-1])
         return ground, stood_at
