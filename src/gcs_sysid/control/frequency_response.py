@@ -140,7 +140,7 @@ class FrequencyResponse:
     Attributes:
         omega: (w,) rad/s.
         values: (w,) complex.
-        std: (w,) sqrt(E|error|^2) of these.
+        std: (w,) sqrt(E|error|^2) of these; infinite where they are not free of feedback.
         freedom: (w,) degrees of freedom of `std`.
         coherence: (w,) of the instrument with input and output, the lower.
         claimed: (w,) whether the values are free of feedback, and coherent.
@@ -297,16 +297,16 @@ def measured_response(
         ]
     ).T
     at = np.atleast_2d(reference(centers))[0]
-    claimed = (coherence.real > RULES.coherence) & (centers > attitude_gain) & bool(instrument)
+    free = (centers > attitude_gain) & bool(instrument)
     if of == "setpoint":
-        claimed &= centers * flight.held < 2.0 * np.pi * RULES.sampled
+        free &= centers * flight.held < 2.0 * np.pi * RULES.sampled
     return FrequencyResponse(
         centers,
         at * relative,
-        np.abs(at) * std.real,
+        np.where(free, np.abs(at) * std.real, np.inf),
         2.0 * (count.real - 1.0),
         coherence.real,
-        claimed,
+        free & (coherence.real > RULES.coherence),
         instrument,
     )
 
@@ -372,18 +372,19 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
 def lateness(measured: Iterable[tuple[FrequencyResponse, Array, float]]) -> tuple[float, float]:
     """By how much measured responses are later than modeled, by their phase: one delay for all.
 
-    Generalized least squares, errors of measurement and of the models together.
+    Generalized least squares, errors of measurement and of the models together. One number of all
+    frequencies needs half the coherence of each.
 
     Args:
         measured: with (N, w) models, the nominal one first, and 1/s: gain of an attitude loop by
             which set-points may have answered to what is not coherent, beyond what is taken out.
 
     Returns:
-        S, and its standard deviation; infinite where too little is claimed.
+        S, and its standard deviation; infinite where too little is there.
     """
     columns = []
     for found, model, answering in measured:
-        at = found.claimed
+        at = np.isfinite(found.std) & (found.coherence > 0.5 * RULES.coherence)
         turned = np.unwrap(np.angle(found.values[at] / model[:, at]), axis=1)
         std = found.std[at] / np.abs(found.values[at]) / np.sqrt(2.0)
         omega, biased = found.omega[at], answering * (1.0 - found.coherence[at]) / found.omega[at]

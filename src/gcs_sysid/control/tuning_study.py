@@ -58,7 +58,7 @@ from gcs_sysid.model.parameter_file import parameter_lines
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.results.words import wrapped
 from gcs_sysid.signals.sampling import SampleBlock
-from gcs_sysid.significance import Z95
+from gcs_sysid.significance import Z95, normal_limit
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,8 @@ class DesignLimits:
 
 
 LIMITS = DesignLimits()
+_SURE = normal_limit()
+"""Standard deviations within which a delay is surely known."""
 
 
 def propose(dynamics: HoverDynamics, loop: RateLoop) -> RateLoop:
@@ -148,13 +150,14 @@ def sure_margins(
 ) -> Array:
     """(3, 2) least phase and gain margin (deg, dB) of each axis over all draws.
 
-    With and without attitude loop, a loop period later than modeled, or as late as the flight may
-    be where that is more, with the thrust of a full and of a low battery; and the lower bound of
-    the phase margin by the measured response. The dynamics are of the nominal vehicle and draws.
+    With and without attitude loop, a loop period later than modeled, or where the flight surely was
+    later as much as it may have been, with the thrust of a full and of a low battery; and the lower
+    bound of the phase margin by the measured response. The dynamics are of the nominal vehicle and
+    draws.
     """
     omega = frequencies(loop)
-    late = max([loop.period, *(late + Z95 * std for late, std in flown_late(measured))])
-    later = replace(dynamics, delay=dynamics.delay + late)
+    seen = (late + _SURE * std for late, std in flown_late(measured) if late > _SURE * std)
+    later = replace(dynamics, delay=dynamics.delay + max([loop.period, *seen]))
     low = replace(
         later,
         effectiveness=LIMITS.battery * later.effectiveness,
@@ -173,8 +176,7 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     """By how much the loop that flew is later than modeled, and the standard deviation, s.
 
     Of the whole loop, in which it does not matter whose stamps are late; and of the controller
-    alone, which is surer, where filters act behind the logged gyro. Empty: neither is known
-    better than the delay that is assumed.
+    alone, which is surer, where filters act behind the logged gyro. Empty: it is not seen.
     """
     most = dict(zip(AXES, LIMITS.attitude_most, strict=True))
     vehicle = lateness((one.torque, one.model, most[name]) for name, one in measured.items())
@@ -183,14 +185,14 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     own = min(laws, key=lambda each: each[1]) if laws else (0.0, 0.0)
     whole = vehicle[0] + own[0], float(np.hypot(vehicle[1], own[1]))
     seen = (whole, own) if laws else (whole,)
-    return tuple(each for each in seen if Z95 * each[1] < ASSUMED_DELAY[0])
+    return tuple(each for each in seen if np.isfinite(each[1]))
 
 
 def late_objections(
     dynamics: HoverDynamics, loop: RateLoop, measured: Mapping[str, MeasuredAxis]
 ) -> tuple[Objection, ...]:
     """A loop that acts later than its gains, filters and delay say, by more than margins allow."""
-    least, late = max(((x - Z95 * std, x) for x, std in flown_late(measured)), default=(0.0, 0.0))
+    least, late = max(((x - _SURE * std, x) for x, std in flown_late(measured)), default=(0.0, 0.0))
     if least <= max(loop.period, ASSUMED_DELAY[1]):
         return ()
     omega = frequencies(loop)
