@@ -284,7 +284,15 @@ class Outcome:
         return 1.0 - self._point.variance / np.maximum(all_, 1e-300)
 
     def _moved(self, step: Array) -> Array:
-        """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical."""
+        """(K, N_UNKNOWNS) after a (K, p) step, shortened until the inertia is physical.
+
+        Nor does it leave the basis' range: lag and delay do the same to slow signals, and cut off
+        singly a step along both goes astray. At the end itself a coordinate is just held.
+        """
+        low, high = self._problem.reach(self._unknowns)
+        room = np.where(step > 0.0, high, -low)
+        share = np.where(room > 0.0, 0.9 * room / np.maximum(np.abs(step), 1e-300), np.inf)
+        step = np.where(room > 0.0, np.minimum(share.min(axis=1, keepdims=True), 1.0) * step, 0.0)
         # After so many halvings a step out of the physical inertias is not taken.
         for _ in range(20):
             unknowns = self._problem.moved(self._unknowns, step)

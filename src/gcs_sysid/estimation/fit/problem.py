@@ -183,33 +183,17 @@ class Problem:
     def moved(self, unknowns: Array, step: Array) -> Array:
         """(..., N_UNKNOWNS + m) after a (..., p) step, within the basis' range."""
         moved: Array = unknowns.copy()
-        if len(self.basis.free) > 1:
-            step = step * self._room(unknowns, step)[..., None]
         moved[..., self.free] += step
         moved[..., COORDINATES] = np.clip(moved[..., COORDINATES], self.basis.low, self.basis.high)
         return moved
 
-    def _room(self, unknowns: Array, step: Array) -> Array:
-        """(...) share of a step that does not lead out of the basis' range.
-
-        Lag and delay do the same to slow signals: cut off singly, a step along both goes astray.
-        """
-        free = list(self.basis.free)
-        low, high = self.basis.low[free], self.basis.high[free]
-        at, way = unknowns[..., self.free_coordinates], step[..., -len(free) :]
-        room = np.where(way > 0.0, high - at, at - low)
-        share = 0.9 * room / np.maximum(np.abs(way), 1e-300)
-        # At the edge itself a coordinate is just held.
-        share = np.where(room > 1e-3 * (high - low), share, 1.0)
-        return np.minimum(share.min(axis=-1), 1.0)
-
-    def are_held(self, unknowns: Array, gradient: Array) -> Mask:
-        """(K, p) which coordinates are at the end of the basis' range, and would leave it."""
-        held = np.zeros(gradient.shape, dtype=bool)
-        low, high = (end[list(self.basis.free)] for end in (self.basis.low, self.basis.high))
-        at, way = unknowns[:, self.free_coordinates], gradient[:, self.linear :]
-        held[:, self.linear :] = ((at <= low) & (way < 0.0)) | ((at >= high) & (way > 0.0))
-        return held
+    def reach(self, unknowns: Array) -> tuple[Array, Array]:
+        """(K, p) steps to the ends of the basis' range."""
+        at, free = unknowns[:, self.free_coordinates], list(self.basis.free)
+        low, high = np.full((2, len(unknowns), self.p), np.inf)
+        low[:, self.linear :] = at - self.basis.low[free]
+        high[:, self.linear :] = self.basis.high[free] - at
+        return -low, high
 
     def are_allowed(self, unknowns: Array) -> Mask:
         """(...) whether a rigid body can have such inertia."""

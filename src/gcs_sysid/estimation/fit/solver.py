@@ -11,7 +11,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 
-_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-12, 1e6
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _EASED = 1e-4, 1e-12, 1e6, 0.1
 _KEPT = 0.1
 """Share of the way to the edge of what is allowed that a step leaves."""
 _BESIDE = 0.1
@@ -116,8 +116,8 @@ class Minimized(Protocol[At]):
         """
         ...
 
-    def are_held(self, unknowns: Array, gradient: Array) -> Mask:
-        """(K, p) which unknowns are at the end of their range, with (K, p) downhill beyond it."""
+    def reach(self, unknowns: Array) -> tuple[Array, Array]:
+        """(K, p) least and greatest step of each unknown that does not leave its range."""
         ...
 
     def fall(self, before: At, after: At) -> Array:
@@ -137,25 +137,42 @@ def minimize(problem: Minimized[At], unknowns: Array, limit: int) -> tuple[At, M
         The minimizers, and (K,) whether each was reached.
     """
     K = len(unknowns)
-    start, nowhere = problem.evaluate(unknowns), np.zeros(K, dtype=bool)
-    return _descend(problem, start, np.full(K, _DAMPING), np.full(K, np.inf), nowhere, limit)
+    damping, ease, gain = (np.full(K, value) for value in (_DAMPING, _EASED, np.inf))
+    state = _Descent(damping, ease, gain, np.zeros(K, dtype=bool))
+    return _descend(problem, problem.evaluate(unknowns), state, limit)
 
 
-def _descend(
-    problem: Minimized[At], point: At, damping: Array, gain: Array, beside: Mask, limit: int
-) -> tuple[At, Mask]:
-    """The steps of `minimize`, with (K,) damping, gain and whether it went along the edge of the
-    step before.
+@dataclass(frozen=True)
+class _Descent:
+    """What the step before leaves, for K hypotheses.
+
+    Attributes:
+        damping: (K,) of the next step.
+        ease: (K,) times which damping is after a good one: 1 after one that was rejected, so that
+            the next is not too long again.
+        gain: (K,) of the step before.
+        beside: (K,) whether it went along the edge of what is allowed.
     """
+
+    damping: Array
+    ease: Array
+    gain: Array
+    beside: Mask
+
+    def part(self, which: Mask) -> "_Descent":
+        return _Descent(*(values[which] for values in vars(self).values()))
+
+
+def _descend(problem: Minimized[At], point: At, state: _Descent, limit: int) -> tuple[At, Mask]:
+    """The steps of `minimize`."""
+    damping, ease, gain, beside = vars(state).values()
     converged, stopping = np.zeros(len(damping), dtype=bool), problem.stopping
     for taken in range(1, limit + 1):
         gradient, hessian = problem.with_prior(point)
         d = scales(hessian)
-        hessian = hessian + point.bend
-        held = problem.are_held(point.unknowns, gradient)
-        if held.any():
-            gradient, hessian = _of_the_rest(gradient, hessian, held)
-        step, downhill, H = _step(hessian, gradient, d, damping)
+        step, downhill, H = _within(
+            problem.reach(point.unknowns), gradient, hessian + point.bend, d, damping
+        )
         candidate = problem.moved(point.unknowns, step / d)
         allowed = problem.are_allowed(candidate)
         # Long steps lead outside before a search is near; bent, they would end at the edge. From
@@ -180,37 +197,42 @@ def _descend(
         point = point.where(better, tried)
         beside = np.where(better, outside, beside)
         poor = (stopping.poor > 0.0) & ~small & (fall < stopping.poor * gain)
-        factor = np.where(better, np.where(poor, 5.0, 0.1), 10.0)
+        factor = np.where(better, np.where(poor, 5.0, ease), 10.0)
         damping = np.maximum(factor * damping, _LEAST_DAMPING)
+        ease = np.where(better, np.maximum(0.3 * ease, _EASED), 1.0)
         # Where no step however small helps any more, rounding has the last word.
         converged = converged | (small & (better | ~outside)) | (damping > _MOST_DAMPING)
         if converged.all():
             break
         if 2 * np.count_nonzero(converged) >= len(converged):
             left = ~converged
-            rest = _descend(
-                problem.part(left),
-                point.part(left),
-                damping[left],
-                gain[left],
-                beside[left],
-                limit - taken,
-            )
+            state = _Descent(damping, ease, gain, beside).part(left)
+            rest = _descend(problem.part(left), point.part(left), state, limit - taken)
             point, converged[left] = point.filled(left, rest[0]), rest[1]
             break
     return point, converged
 
 
-def _of_the_rest(gradient: Array, hessian: Array, held: Mask) -> tuple[Array, Array]:
-    """Gradient and curvature where some of the unknowns stay as they are.
+def _within(
+    reach: tuple[Array, Array], gradient: Array, hessian: Array, d: Array, damping: Array
+) -> tuple[Array, Array, Array]:
+    """As `_step`, where some unknowns have a range: those that would leave it go to its end.
 
-    Others then go to the minimum beside the edge (gradient projection: Bertsekas 1982, SIAM Journal
-    on Control and Optimization 20, 221-246). With steps that are cut off there they would make up
-    for a move that is not made, and creep.
+    The others then go to the minimum beside that edge (active set: Bertsekas 1982, SIAM Journal on
+    Control and Optimization 20, 221-246). Cut off there, they would make up for a move that is not
+    made.
     """
-    alone = held[:, :, None] != held[:, None, :]
-    alone |= (held[:, :, None] & held[:, None, :]) & ~np.eye(held.shape[1], dtype=bool)
-    return np.where(held, 0.0, gradient), np.where(alone, 0.0, hessian)
+    step, downhill, H = _step(hessian, gradient, d, damping)
+    low, high = reach[0] * d, reach[1] * d
+    held = np.zeros(step.shape, dtype=bool)
+    while (beyond := ~held & ((step < low) | (step > high))).any():
+        held |= beyond
+        moved = np.where(held, np.clip(step, low, high), 0.0)
+        left = np.where(held, moved, downhill - (H @ moved[..., None])[..., 0])
+        either = held[:, :, None] | held[:, None, :]
+        rest = np.where(either, np.eye(H.shape[1]), H)
+        step = np.linalg.solve(rest, left[..., None])[..., 0]
+    return step, downhill, H
 
 
 def _along_edge(
