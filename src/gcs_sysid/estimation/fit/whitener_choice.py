@@ -31,7 +31,7 @@ from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
-_SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 30
+_SCAN, TRY, _AGAIN, _FIT = 5, 8, 4, 60
 """Iterations: at a node; with a whitener, from there and from a fit; with those of the axes."""
 _SCANNED = 64
 """Pairs of whitener and node that are looked at, about."""
