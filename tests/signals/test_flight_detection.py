@@ -344,3 +344,23 @@ def test_real_flights_use_their_air_time(name, shared_logs):
         assert inside[0] < start + TAKE_OFF + 0.2
         assert inside[-1] == pytest.approx(end, abs=0.5)
         assert len(inside) > 0.97 * (inside[-1] - inside[0]) / np.median(np.diff(t))
+
+
+@pytest.mark.parametrize(("climbs", "block"), [(1.0, 10**6), (1.0, 7), (0.05, 10**6)])
+def test_calm_thrust_carries_what_has_risen_a_meter_and_is_said_to_fly(climbs, block):
+    """Steps before take-off showed the ground, and constant thrust shows nothing else since."""
+    squares = 1e5 * np.where(T < 10.0, 2.0 + np.sin(0.8 * T), 4.0)
+    up = np.maximum(T - 12.0, 0.0) * climbs
+    force = np.column_stack([0.0 * T, 0.0 * T, 0.0 * T - G])
+    detector, nothing, found = FlightDetector(), np.full(len(T), np.nan), []
+    speeds = np.repeat(np.sqrt(squares)[:, None], 4, axis=1)
+    position = np.column_stack([0.0 * T, 0.0 * T, -up])
+    thrust = np.column_stack([squares, nothing])
+    values = T, between(9.0, 40.0), 1.0 + 0.0 * T, speeds, position, force, 0.0 * force, thrust
+    for i in range(0, len(T), block):
+        found.append(detector.update(*(value[i : i + block] for value in values)))
+    flying = T[np.concatenate(found)]
+    if climbs < 0.1:
+        assert not len(flying)
+    else:
+        spans(flying, 13.0 + TAKE_OFF, T[-1])

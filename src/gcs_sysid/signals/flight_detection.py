@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask
+from gcs_sysid.arrays import Array, Mask, runs
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_readings import APART
 
@@ -168,6 +168,8 @@ class FlightRules:
     Attributes:
         height: m above the ground, from which a vehicle that does not report its state counts as
             flying.
+        risen: m above where rotors and force had it stand, from which a vehicle that reports flight
+            flies: on the ground heights drifted by 0.7 m in seconds, and by 1.5 m in minutes.
         rest, rest_for: m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors
             shake it by 0.7 m/s^2 (LOG00259 of indiflightSupport); hovering it leaves these bounds
             several times in that time.
@@ -189,6 +191,7 @@ class FlightRules:
     """
 
     height: float = 0.3
+    risen: float = 1.0
     rest: tuple[float, float] = (2.5, 0.35)
     rest_for: float = 0.25
     still: tuple[float, float] = (0.6, 0.05)
@@ -232,7 +235,7 @@ class FlightDetector:
         self._speeds: Array | None = None
         self._unfallen_at = self._fell_at = self._upright_at = -np.inf
         self._placed_at = -np.inf
-        self._ground = self._down = np.nan
+        self._ground = self._down = self._lowest = np.nan
         self._began: float | None = None
         self._smooth = np.full(4, np.nan)
         self._log_least = np.full(2, np.inf)
@@ -315,10 +318,14 @@ class FlightDetector:
             changes = (np.abs(speeds - before) > RULES.same * speeds).any(axis=1)
         driven = self._since(t, changes, "_driven_at") < RULES.silent_for
         disarmed = (armed < 0.5) & ~(turn & driven & (in_air > 0.5))
+        down = self._lately(t, position[:, 2])
         carried_by_ground = self.ground_test.update(t, force, rates, thrust, speeds)
+        with np.errstate(invalid="ignore"):
+            carried_by_ground &= ~(
+                (in_air > 0.5) & (self._risen(carried_by_ground, down) > RULES.risen)
+            )
         stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
         stands |= carried_by_ground
-        down = self._lately(t, position[:, 2])
         stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
         self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
@@ -408,6 +415,15 @@ class FlightDetector:
         self._down = float(held[-1])
         age = self._since(t, np.isfinite(down), "_placed_at")
         return np.where(age < RULES.placed_for, held, np.nan)
+
+    def _risen(self, stands: Mask, down: Array) -> Array:
+        """(n,) m above the lowest place since it stands without a break."""
+        lowest = np.full(len(down), np.nan)
+        for run, still in runs(stands):
+            before = np.append(self._lowest, down[run])
+            lowest[run] = np.fmax.accumulate(before)[1:] if still else np.nan
+            self._lowest = lowest[run][-1]
+        return lowest - down
 
     def _note_beginning(
         self, t: Array, smooth: Array, judged: Mask, down: Array, ratio: Array
