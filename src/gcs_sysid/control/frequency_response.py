@@ -361,12 +361,15 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
         solution = np.linalg.lstsq(whole[:, :4], whole[:, 4], rcond=None)[0]
         if not (solution[0] and solution[1] > 0.0):
             return unseen
-        seconds = seconds + np.clip(solution[2:] / solution[:2], -0.005, 0.005)
-        left = u - terms[..., :4] @ solution
+        step = np.clip(solution[2:] / solution[:2], -0.005, 0.005)
+        seconds, left = seconds + step, u - terms[..., :4] @ solution
     pulls = [row[:, :4].T @ (row[:, 4] - row[:, :4] @ solution) for row in rows]
     inverse = np.linalg.pinv(whole[:, :4].T @ whole[:, :4])
-    errors = inverse @ np.array(pulls).T
-    return float(seconds[1]), float(np.sqrt(np.sum(errors[3] ** 2)) / solution[1])
+    std = float(np.linalg.norm(inverse[3] @ np.array(pulls).T) / solution[1])
+    unexplained = [np.sum(np.abs(left[:, i]) ** 2) / np.sum(np.abs(u[:, i]) ** 2) for i in cells]
+    # A controller has no noise of its own: what it leaves may be all of one sign.
+    alike = np.sqrt(np.median(unexplained)) / omega[cells[-1].stop - 1]
+    return (float(seconds[1]), float(np.hypot(std, alike))) if abs(step[1]) <= std else unseen
 
 
 def lateness(measured: Iterable[tuple[FrequencyResponse, Array, float]]) -> tuple[float, float]:
