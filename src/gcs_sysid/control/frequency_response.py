@@ -323,6 +323,10 @@ def _of_slope(omega: Array, dt: float) -> Array:
     return response
 
 
+_STEP = 0.005
+"""s, largest change of a delay at once."""
+
+
 def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[float, float]:
     """By how much torques follow the rates of an axis later than by the law of the loop given.
 
@@ -349,11 +353,11 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
         return unseen
     parts = reference * z / flight.hold(omega), -law * _of_slope(omega, flight.dt) * y
     seconds, left = np.zeros(2), u
-    for _ in range(8):
+    for count in (*range(SmoothRatio.FEWEST, len(cells)), *8 * (len(cells),)):
         moved = [x * np.exp(-1j * omega * late) for x, late in zip(parts, seconds, strict=True)]
         terms = np.stack([*moved, *(-1j * omega * x for x in moved), u], -1)
         rows = []
-        for cell in cells:
+        for cell in cells[:count]:  # the lowest first, where a long delay is no whole turn
             noise = np.mean(np.abs(left[:, cell]) ** 2) + 1e-9 * np.mean(np.abs(u[:, cell]) ** 2)
             row = terms[:, cell].reshape(-1, 5) / np.sqrt(noise or 1.0)
             rows.append(np.vstack([row.real, row.imag]))
@@ -361,7 +365,7 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
         solution = np.linalg.lstsq(whole[:, :4], whole[:, 4], rcond=None)[0]
         if not (solution[0] and solution[1] > 0.0):
             return unseen
-        step = np.clip(solution[2:] / solution[:2], -0.005, 0.005)
+        step = np.clip(solution[2:] / solution[:2], -_STEP, _STEP)
         seconds, left = seconds + step, u - terms[..., :4] @ solution
     pulls = [row[:, :4].T @ (row[:, 4] - row[:, :4] @ solution) for row in rows]
     inverse = np.linalg.pinv(whole[:, :4].T @ whole[:, :4])
@@ -369,7 +373,8 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
     unexplained = [np.sum(np.abs(left[:, i]) ** 2) / np.sum(np.abs(u[:, i]) ** 2) for i in cells]
     # A controller has no noise of its own: what it leaves may be all of one sign.
     alike = np.sqrt(np.median(unexplained)) / omega[cells[-1].stop - 1]
-    return (float(seconds[1]), float(np.hypot(std, alike))) if abs(step[1]) <= std else unseen
+    settled = abs(step[1]) < min(std, _STEP)
+    return (float(seconds[1]), float(np.hypot(std, alike))) if settled else unseen
 
 
 def lateness(measured: Iterable[tuple[FrequencyResponse, Array, float]]) -> tuple[float, float]:
