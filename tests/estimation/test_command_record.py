@@ -37,18 +37,6 @@ def samples(flight):
     return every.part(slice(0, round(SECONDS / DT)))
 
 
-def noted(monkeypatch):
-    """Whiteners of each making of all rows from now on; None: all of them."""
-    numbers, make = [], CommandRecord._made
-
-    def made(self, basis, hover, whiteners=None, alike=None):
-        numbers.append(None if whiteners is None else len(whiteners))
-        return make(self, basis, hover, whiteners, alike)
-
-    monkeypatch.setattr(CommandRecord, "_made", made)
-    return numbers
-
-
 def flown(truth, samples):
     estimator = OnlineEstimator(truth.geometry, DT, COMMANDS)
     estimator.update(samples)
@@ -63,12 +51,9 @@ def outcome(estimator):
 
 @pytest.fixture(scope="module")
 def usual(truth, samples):
-    """Flown once for all that follow: the estimator, its outcome, and what it made."""
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        numbers = noted(monkeypatch)
-        estimator = flown(truth, samples)
-        after = deepcopy(estimator)
-        return SimpleNamespace(estimator=estimator, outcome=outcome(after), makings=numbers)
+    """Flown once for all that follow: the estimator and its outcome."""
+    estimator = flown(truth, samples)
+    return SimpleNamespace(estimator=estimator, outcome=outcome(deepcopy(estimator)))
 
 
 @pytest.fixture

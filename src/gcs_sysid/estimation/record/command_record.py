@@ -23,7 +23,7 @@ from gcs_sysid.estimation.fit.priors import COORDINATE_MEAN, COORDINATE_STD, N_U
 from gcs_sysid.estimation.fit.problem import axis_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit, along
 from gcs_sysid.estimation.fit.whitened_fit import WhitenedFit, fit_whitened
-from gcs_sysid.estimation.noise.whitening import Whitener, bank_for_commands
+from gcs_sysid.estimation.noise.whitening import bank_for_commands
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.rows.actuator_dynamics import LAGS_OF, Coordinate, LagOf
 from gcs_sysid.estimation.rows.motor_linearization import (
@@ -40,9 +40,6 @@ from gcs_sysid.model import rigid_body as rb
 TRUSTED = 4.0
 """Steps of the linearization that a round goes at most: farther off the rows are not what motors
 there make. A curve of 0.85 went to 0.23 in one round, to where its residual only seemed less."""
-_NEAR = 1.1
-"""Times the least innovation power of an axis, up to which a whitener may be the likeliest with
-another place of the lag. Where places compete, their residuals are alike."""
 _NO_RIVAL, _CLOSE = 0.2, 2.0
 """Nats a row by which a place of the lag must be less likely, and steps of the linearization within
 which its motors must be, for its rows not to be made again: on recorded flights that brought at
@@ -159,16 +156,6 @@ class TunedRows:
         """
         rows = self.samples / self.maker.samples_a_row
         return 0.5 * rows * float(np.log(self._power.min(axis=0) / self.white.rows).sum())
-
-    @cached_property
-    def near(self) -> list[Whitener]:
-        """Whiteners of which some axis' innovations are nearly as weak as of the likeliest."""
-        power, whiteners = self._power, self.white.whiteners
-        near = (power < _NEAR * power.min(axis=0)).any(axis=1)
-        # A disturbance shows by what whiteners without one leave.
-        calm = [i for i, whitener in enumerate(whiteners) if not whitener.disturbed]
-        near[np.array(calm)[power[calm].argmin(axis=0)]] = True
-        return [whiteners[i] for i in np.flatnonzero(near)]
 
     @property
     def _power(self) -> Array:
@@ -428,10 +415,7 @@ class CommandRecord:
         # Far from the motors that rows are linearized about, their residuals carry no information.
         found = [tuned for tuned in tried if tuned.trusted] or tried[:1]
         cost = np.array([tuned.cost for tuned in found])
-        # By all whiteners it may be another one that is likeliest.
-        while not self._has_all_whiteners(found[best := int(np.argmin(cost))]):
-            found[best] = self._with_all_whiteners(found[best], hover)
-            cost[best] = found[best].cost
+        best = int(np.argmin(cost))
         doubt = rivals_doubt([tuned.fit.rotation for tuned in found], cost.tolist())
         doubt += np.outer(found[best].away, found[best].away)
         if self._dt > _BETWEEN:
@@ -456,7 +440,6 @@ class CommandRecord:
         alike: TunedRows | None,
         *,
         rival: bool = False,
-        whole: bool = False,
     ) -> TunedRows | None:
         """Rows about the motors of one place of the lag; None while there is no fit.
 
@@ -464,15 +447,13 @@ class CommandRecord:
             at: motors to start from.
             of: what lags.
             hover: mean command.
-            alike: rows about other motors, whose likely whiteners are tried.
+            alike: rows about other motors.
             rival: whether this place is but compared with that of `alike`.
-            whole: whether all whiteners are tried.
         """
         tuned, leading = None, alike if rival else None
         for round_ in range(_ROUNDS):
             basis = LocalDynamics(self._rounded(at), of, self._dt, curve=self._curve is None)
-            whiteners = None if whole or alike is None else alike.near
-            maker, white = self._made(basis, hover, whiteners, alike)
+            maker, white = self._made(basis, hover, alike)
             start = alike.fit.rotation if alike is not None and alike.trusted else None
             found = self._fitted(white, basis, start)
             if found is None:
@@ -518,26 +499,10 @@ class CommandRecord:
             rounded[Coordinate.CURVE] = self._curve
         return rounded
 
-    def _has_all_whiteners(self, tuned: TunedRows) -> bool:
-        return len(tuned.white.whiteners) == len(bank_for_commands(step_of(self._dt).time))
-
-    def _with_all_whiteners(self, tuned: TunedRows, hover: float) -> TunedRows:
-        """The same of rows that can be gone on with; by more whiteners motors may be others."""
-        if self._has_all_whiteners(tuned):
-            return tuned
-        place = tuned.basis.lag_place.of
-        at = tuned.basis.at if tuned.stayed else tuned.next_at
-        converged = self._converged(at, place, hover, tuned, whole=True)
-        if converged is not None:
-            return converged
-        maker, white = self._made(tuned.basis, hover, alike=tuned)
-        return replace(tuned, maker=maker, white=white)
-
     def _made(
         self,
         basis: LocalDynamics,
         hover: float,
-        whiteners: Sequence[Whitener] | None = None,
         alike: TunedRows | None = None,
     ) -> tuple[MotorRows, WhitenedRecord]:
         """All samples kept, as rows.
@@ -545,13 +510,12 @@ class CommandRecord:
         Args:
             basis: the motors.
             hover: mean command.
-            whiteners: None: all of the bank.
             alike: rows about others: a shock in them is one, where these are not far off.
         """
         assert self._kept is not None
         basis.curve_doubt = self._curve_doubt
         step = step_of(self._dt)
-        bank = bank_for_commands(step.time) if whiteners is None else whiteners
+        bank = bank_for_commands(step.time)
         maker = MotorRows(self._geometry, self._dt, basis, hover)
         judged = () if alike is None else alike.shocks
         white = WhitenedRecord(basis, step, bank, self._dt, self._batch_time, judged)
