@@ -323,10 +323,6 @@ def _of_slope(omega: Array, dt: float) -> Array:
     return response
 
 
-_STEP = 0.005
-"""s, largest change of a delay at once."""
-
-
 def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[float, float]:
     """By how much torques follow the rates of an axis later than by the law of the loop given.
 
@@ -352,6 +348,7 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
     if len(cells) < SmoothRatio.FEWEST:
         return unseen
     parts = reference * z / flight.hold(omega), -law * _of_slope(omega, flight.dt) * y
+    radian = 1.0 / omega[cells[-1].stop - 1]  # s, at most at once, for delays are linearized
     seconds, left = np.zeros(2), u
     for count in (*range(SmoothRatio.FEWEST, len(cells)), *8 * (len(cells),)):
         moved = [x * np.exp(-1j * omega * late) for x, late in zip(parts, seconds, strict=True)]
@@ -365,15 +362,15 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
         solution = np.linalg.lstsq(whole[:, :4], whole[:, 4], rcond=None)[0]
         if not (solution[0] and solution[1] > 0.0):
             return unseen
-        step = np.clip(solution[2:] / solution[:2], -_STEP, _STEP)
+        step = np.clip(solution[2:] / solution[:2], -radian, radian)
         seconds, left = seconds + step, u - terms[..., :4] @ solution
     pulls = [row[:, :4].T @ (row[:, 4] - row[:, :4] @ solution) for row in rows]
     inverse = np.linalg.pinv(whole[:, :4].T @ whole[:, :4])
     std = float(np.linalg.norm(inverse[3] @ np.array(pulls).T) / solution[1])
     unexplained = [np.sum(np.abs(left[:, i]) ** 2) / np.sum(np.abs(u[:, i]) ** 2) for i in cells]
     # A controller has no noise of its own: what it leaves may be all of one sign.
-    alike = np.sqrt(np.median(unexplained)) / omega[cells[-1].stop - 1]
-    settled = abs(step[1]) < min(std, _STEP)
+    alike = radian * np.sqrt(np.median(unexplained))
+    settled = abs(step[1]) < min(std, radian)
     return (float(seconds[1]), float(np.hypot(std, alike))) if settled else unseen
 
 

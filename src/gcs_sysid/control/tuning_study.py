@@ -176,7 +176,8 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     """By how much the loop that flew is later than modeled, and the standard deviation, s.
 
     Of the whole loop, in which it does not matter whose stamps are late; and of the controller
-    alone, which is surer, where filters act behind the logged gyro. Empty: it is not seen.
+    alone, which is surer, where filters act behind the logged gyro. Empty: neither is known
+    better than a delay that is assumed.
     """
     most = dict(zip(AXES, LIMITS.attitude_most, strict=True))
     vehicle = lateness((one.torque, one.model, most[name]) for name, one in measured.items())
@@ -185,7 +186,7 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     own = min(laws, key=lambda each: each[1]) if laws else (0.0, 0.0)
     whole = vehicle[0] + own[0], float(np.hypot(vehicle[1], own[1]))
     seen = (whole, own) if laws else (whole,)
-    return tuple(each for each in seen if np.isfinite(each[1]))
+    return tuple(each for each in seen if each[1] < ASSUMED_DELAY[0])
 
 
 def late_objections(
