@@ -29,6 +29,7 @@ from gcs_sysid.session.reported_layout import (
 )
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR, MavlinkSystem
 
@@ -160,6 +161,7 @@ def layout_by_motion(
     guess: GuessedAirframe,
     autopilot: str,
     parameters: Mapping[str, float],
+    sampler: Sampler | None = None,
 ) -> tuple[GuessedAirframe, Streams]:
     """The layout by which the vehicle turns, where its order was only assumed.
 
@@ -168,6 +170,7 @@ def layout_by_motion(
         guess: from the log, or from the user.
         autopilot: "px4", "ardupilot" or another key.
         parameters: the autopilot's.
+        sampler: as of `flight_in`, for a guess that is not assumed.
 
     Returns:
         The guess, or where it was assumed the layout that the flight shows instead, and the
@@ -177,7 +180,7 @@ def layout_by_motion(
     if guess.assumed:
         guess = _of_as_many_as_carry(blocks, guess, autopilot, parameters)
     airframe = guess.airframe
-    streams = streams_of(blocks, airframe, autopilot, parameters)
+    streams = streams_of(blocks, airframe, autopilot, parameters, sampler)
     count = len(airframe.rotors)
     delays = (0.0,) if streams.speeds else TUNING.order_delays
     seen = [*_motions(streams, TUNING.order_windows, delays)]

@@ -42,6 +42,7 @@ from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_units import RADIANS, assumed_unit, speed_scale, unseen_scale
+from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
 _AS_FLOWN = (
@@ -67,11 +68,16 @@ class HoverRecords:
         self._log: Telemetry | None = None
         self._blocks: list[RecordBlock] = []
         self._room = TUNING.most_samples
+        self._sampler: Sampler | None = None
 
     def begin(self, log: Telemetry) -> None:
         """A reading of the log, or link, begins; one before it does not count."""
-        self._log, self._blocks = log, []
+        self._log, self._blocks, self._sampler = log, [], None
         self._room = TUNING.most_samples
+
+    def end(self, sampler: Sampler) -> None:
+        """Another took all of it, by the airframe that is given to `health`."""
+        self._sampler = sampler
 
     @property
     def full(self) -> bool:
@@ -117,7 +123,7 @@ class HoverRecords:
             guess = guess_airframe(log.vehicle, log.parameters, given.airframe, given.arm)
         except NoAnswerError as error:
             return _refused(error.reason, how=error.how, source=source)
-        guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters)
+        guess, streams = layout_by_motion(blocks, guess, autopilot, log.parameters, self._sampler)
         if given.mass is not None:
             airframe = with_given(guess.airframe, "mass", given.mass, "--mass")
             guess = replace(guess, airframe=airframe)

@@ -165,7 +165,7 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
     t = np.arange(half, max(float(flying_t[-1]) - half, 0.0), half) if len(flying_t) else flying_t
     aloft = np.append(0.0, np.cumsum(~streams.flight.flying))
     first, last = (np.searchsorted(flying_t, t + s) for s in (-half, half))
-    t = t[(aloft[last] - aloft[first] == 0.0) & (last > first)]
+    t = t[streams.flight.at(t - half) & (aloft[last] == aloft[first])]
 
     imu_t, imu = streams.tracks.get(Stream.IMU, (np.empty(0), np.empty((0, 6))))
     p, q, r = imu[:, 0], imu[:, 1], imu[:, 2]

@@ -1,5 +1,6 @@
 """The streams of a whole log on one time axis, as hovering needs them."""
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -72,8 +73,8 @@ class Flight:
 
     Attributes:
         start: s on the vehicle's clock, of the session's time zero.
-        t: (n,) s of the session.
-        flying: (n,) whether it flies then.
+        t: (n,) s of the session, rising.
+        flying: (n,) whether it flies from then on.
         gyro: what it reads of what the attitude turns.
         saturated: sensors at a limit.
     """
@@ -129,10 +130,11 @@ def rate_of(t: Array) -> float:
 
 
 def flight_in(
-    blocks: Iterable[RecordBlock],
+    blocks: Sequence[RecordBlock],
     airframe: Airframe,
     autopilot: str,
     parameters: Mapping[str, float],
+    sampler: Sampler | None = None,
 ) -> tuple[Flight, list[Track]]:
     """When the vehicle flies, and the log's tracks on the session's time, which rises.
 
@@ -141,28 +143,28 @@ def flight_in(
         airframe: gives the number of rotors, and perhaps the range of commands.
         autopilot: "px4", "ardupilot" or another key.
         parameters: the autopilot's.
+        sampler: that took all of it; None: another takes it.
     """
-    selector = RotorSourceSelector(airframe, None)
-    selector.autopilot = autopilot
-    for name, value in parameters.items():
-        selector.learn(name, value)
-    sampler = Sampler(selector, len(airframe.rotors))
-    tracks: list[Track] = []
-    samples = []
-    for block in blocks:
-        known = max(len(sampler.boots) - 1, 0)
-        samples += [(each.t, each.flying) for each in sampler.feed_records(block)]
-        boots = sampler.boots[known:]
-        tracks += [_in_session(track, boots) for track in block.tracks if len(track.t)]
-    samples += [(each.t, each.flying) for each in sampler.finish()]
-    t = np.concatenate([t for t, _ in samples] or [np.empty(0)])
-    flying = np.concatenate([flies for _, flies in samples] or [np.empty(0, bool)])
-    t, flying = t[t < _LONGEST], flying[t < _LONGEST]
-    for start, end in sampler.flight_detector.ground_test.stood:
-        flying &= (t < start) | (t >= end)
-    start = sampler.boots[0][1] if sampler.boots else 0.0
+    if sampler is None:
+        selector = RotorSourceSelector(airframe, None)
+        selector.autopilot = autopilot
+        for name, value in parameters.items():
+            selector.learn(name, value)
+        sampler = Sampler(selector, len(airframe.rotors))
+        for block in blocks:
+            deque(sampler.feed_records(block), 0)
+        deque(sampler.finish(), 0)
+    turns, last = np.array(sampler.turns), min(sampler.t, _LONGEST)
+    stood = sampler.flight_detector.ground_test.stood
+    t = np.unique([*turns, *np.ravel(stood), last])
+    t = t[np.isfinite(t) & (t <= last)]
+    flying = (np.searchsorted(turns, t, side="right") % 2 == 1) & (t < last)
+    for start, end in stood:
+        flying &= (t < start) | (t > end)
+    boots = sampler.boots or [(0, 0.0)]
     gyro, saturation = sampler.gyro_check.result(), sampler.time_base.saturation
-    flight = Flight(start, t, flying, gyro, saturation.found())
+    tracks = [_in_session(track, boots) for block in blocks for track in block.tracks]
+    flight = Flight(boots[0][1], t, flying, gyro, saturation.found())
     return flight, [_steady(track) for track in by_key(tracks).values()]
 
 
@@ -171,9 +173,10 @@ def streams_of(
     airframe: Airframe,
     autopilot: str,
     parameters: Mapping[str, float],
+    sampler: Sampler | None = None,
 ) -> Streams:
     """Gather the streams of a log; arguments as of `flight_in`."""
-    flight, tracks = flight_in(blocks, airframe, autopilot, parameters)
+    flight, tracks = flight_in([*blocks], airframe, autopilot, parameters, sampler)
     return streams_in(flight, tracks, airframe, autopilot, parameters)
 
 
@@ -265,7 +268,7 @@ def _turning(stream: RotorStream) -> Array:
 
 
 def _in_session(track: Track, boots: Sequence[tuple[int, float]]) -> Track:
-    """A track of a block on the session's time, by the boot in force before it and those in it."""
+    """A track on the session's time."""
     orders, zeros = zip(*boots, strict=True)
     boot = np.searchsorted(orders[1:], track.order, side="right")
     return replace(track, t=track.t - np.array(zeros)[boot])

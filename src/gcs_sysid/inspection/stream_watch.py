@@ -13,7 +13,6 @@ from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.inspection.facts import AxisMotion, ChosenSource, FlightBy, RotorFacts, RotorMessage
 from gcs_sysid.model.airframe import Airframe, Rotor, ScaleReference
 from gcs_sysid.signals.columns import RecordBlock, stacked
-from gcs_sysid.signals.flight_detection import FlightDetector
 from gcs_sysid.signals.imu_checks import GyroAgainstAttitude, Saturated
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
@@ -28,45 +27,27 @@ class FlightWatch:
 
     Attributes:
         known: s of the session up to which that is known.
-        spans: s from take-off to landing, of each flight.
     """
 
-    def __init__(self, detector: FlightDetector) -> None:
-        self._detector = detector
+    def __init__(self, sampler: Sampler) -> None:
+        self._sampler = sampler
         self.known = -math.inf
-        self.spans: list[tuple[float, float]] = []
-        self._edges: list[float] = []
-        """s, rising, of take-offs and landings in turn."""
-
-    def add_samples(self, block: SampleBlock) -> None:
-        """The next samples."""
-        if block.rebooted and len(self._edges) % 2:
-            self._turn(self.known)
-        flew = len(self._edges) % 2 == 1
-        for i in np.flatnonzero(np.diff(block.flying, prepend=flew)):
-            self._turn(float(block.t[i]))
-        self.known = float(block.t[-1])
-
-    def finish(self) -> None:
-        """Nothing follows: what flies has landed, and all is known."""
-        if len(self._edges) % 2:
-            self._turn(self.known)
-        self.known = math.inf
 
     def flying(self, t: Array) -> Mask:
         """(n,) whether it flies at (n,) s of what is known."""
-        return np.searchsorted(self._edges, t, side="right") % 2 == 1
+        return np.searchsorted(self._sampler.turns, t, side="right") % 2 == 1
 
-    def _turn(self, t: float) -> None:
-        self._edges.append(t)
-        if len(self._edges) % 2:
-            return
-        counted = self._edges[-2]
-        stood = self._detector.ground_test.stood
-        landed = min([t, *(start for start, end in stood if end > counted)])
-        # Less than a second is a jump of the judgement.
-        if landed - counted >= 1.0 and len(self.spans) < 1000:
-            self.spans.append((self._detector.left_ground.get(counted, counted), landed))
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """S from take-off to landing, of each flight; what still flies lands now."""
+        detector, turns = self._sampler.flight_detector, [*self._sampler.turns, self._sampler.t]
+        found: list[tuple[float, float]] = []
+        for counted, t in zip(turns[::2], turns[1::2], strict=False):
+            landed = min([t, *(a for a, b in detector.ground_test.stood if b > counted)])
+            # Less than a second is a jump of the judgement.
+            if landed - counted >= 1.0 and len(found) < 1000:
+                found.append((detector.left_ground.get(counted, counted), landed))
+        return found
 
 
 class ChainWatch:
@@ -84,7 +65,7 @@ class ChainWatch:
         self._rotor_selector.autopilot = autopilot
         self._sampler = Sampler(self._rotor_selector, len(airframe.rotors))
         self._believed: RotorSource | None = None
-        self.flight = FlightWatch(self._sampler.flight_detector)
+        self.flight = FlightWatch(self._sampler)
 
     def add_records(self, block: RecordBlock) -> None:
         """Take records, of whatever streams."""
@@ -93,7 +74,7 @@ class ChainWatch:
     def finish(self) -> None:
         """Nothing follows."""
         self._note(self._sampler.finish())
-        self.flight.finish()
+        self.flight.known = math.inf
 
     @property
     def has_samples(self) -> bool:
@@ -143,7 +124,7 @@ class ChainWatch:
     def _note(self, blocks: Iterable[SampleBlock]) -> None:
         for block in blocks:
             self._believed = block.rotors or self._believed
-            self.flight.add_samples(block)
+            self.flight.known = float(block.t[-1])
 
 
 USUAL = 4

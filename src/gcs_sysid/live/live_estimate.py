@@ -24,6 +24,7 @@ from gcs_sysid.session.chain import Chain, ChainOptions
 from gcs_sysid.session.origin import Origin
 from gcs_sysid.signals.columns import RecordBlock, Track, by_key
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.intake import FrameGathering, Intake
 from gcs_sysid.telemetry.logs import Telemetry
 from gcs_sysid.telemetry.tlog_writer import reset_mark
@@ -197,7 +198,7 @@ class LiveEstimate:
         if self._hover is None:
             return
         try:
-            news = self._hover.look(self.chain.airframe, self.result)
+            news = self._hover.look(self.chain.airframe, self.result, self.chain.sampler)
         except Exception as defect:  # noqa: BLE001 - the flight goes on without it
             self._hover = None
             self.note(f"{in_words(defect)}: health is no longer updated")
@@ -301,14 +302,17 @@ class HoverWatch:
             self._join()
 
     def look(
-        self, airframe: Airframe, result: Callable[[], Result] | None = None
+        self,
+        airframe: Airframe,
+        result: Callable[[], Result] | None = None,
+        sampler: Sampler | None = None,
     ) -> tuple[dict[str, Any], str] | None:
         """Findings of the hover now; None where it is not time for another look.
 
         They are a health file's content, whose verdict is "refused" where nothing hovers, and the
         words on a rotor that is weak and was not before, if one is.
 
-        `result` is called where it is time to look.
+        `result` is called where it is time to look. `sampler` took the records; None: none did.
         """
         if self._now - self._looked < _EVERY:
             return None
@@ -317,6 +321,8 @@ class HoverWatch:
         records = HoverRecords()
         records.begin(self._telemetry)
         records.add_records(RecordBlock(tuple(self._kept)))
+        if sampler is not None:
+            records.end(sampler)
         health = records.health(self._source, HealthOptions(airframe))
         if result is not None:
             latest = result()

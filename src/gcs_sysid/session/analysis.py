@@ -40,6 +40,9 @@ class RecordKeeper(Protocol):
     def add_records(self, block: RecordBlock) -> None:
         """The next block of records."""
 
+    def end(self, sampler: Sampler) -> None:
+        """All is read, and what took it is the sampler."""
+
 
 def analyze_log(
     path: Path,
@@ -89,6 +92,8 @@ def analyze_log(
     result = chain.finish()
     for observer in observers:
         observer.end(chain)
+    if keeper is not None:
+        keeper.end(chain.sampler)
     return result
 
 

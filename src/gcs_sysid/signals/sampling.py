@@ -152,6 +152,8 @@ class Sampler:
         self._jumps = VelocityJumps()
         self.boots: list[tuple[int, float]] = []
         """Order of the first sample of each, and s of its clock at the session's time zero."""
+        self.turns: list[float] = []
+        """s, rising, of take-offs and landings in turn."""
         self._first: float | None = None
         self._began = self._newest = 0.0
 
@@ -366,6 +368,9 @@ class Sampler:
         )
         # No vehicle flies on over it, whatever its recording left out.
         flying[0] &= not rebooted
+        if rebooted and self.flying:
+            self.turns.append(self.t)
+        self.turns += t[np.diff(flying, prepend=self.flying and not rebooted)].tolist()
         self.time_base.flown += dt * int(np.count_nonzero(flying))
         gyro = np.where(flying[:, None], gyro, np.nan)
         self.gyro_check.update(t, gyro, reference, fresh=block.fresh)
