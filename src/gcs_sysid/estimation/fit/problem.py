@@ -37,7 +37,6 @@ from gcs_sysid.estimation.rows.actuator_dynamics import (
     PLAIN,
     WIDTH,
     ActuatorDynamics,
-    Coordinate,
 )
 from gcs_sysid.model import rigid_body as rb
 
@@ -268,13 +267,12 @@ class Problem:
             hessian[:, :n, n:] = -cross
             hessian[:, n:, :n] = -np.swapaxes(cross, 1, 2)
             hessian[:, n:, n:] = bends + np.diag(self._information)
-            if self.basis.twice_delayed is not None:
-                left = W[:, None] @ times_moments(T[:, None], mapped)
-                turned = left @ np.swapaxes(P[:, 1:, :N_X], -1, -2)  # (K, f, 3, N_X)
-                both = -(G.reshape(K, n, -1) @ np.swapaxes(turned.reshape(K, f, -1), 1, 2))
-                bend[:, :n, n:], bend[:, n:, :n] = both, np.swapaxes(both, 1, 2)
-                late = n + self.basis.free.index(Coordinate.DELAY)
-                bend[:, late, late] = (left[:, 0] * (T @ self.basis.twice_delayed)).sum(axis=(1, 2))
+            left = W[:, None] @ times_moments(T[:, None], mapped)
+            turned = left @ np.swapaxes(P[:, 1:, :N_X], -1, -2)  # (K, f, 3, N_X)
+            both = -(G.reshape(K, n, -1) @ np.swapaxes(turned.reshape(K, f, -1), 1, 2))
+            bend[:, :n, n:], bend[:, n:, :n] = both, np.swapaxes(both, 1, 2)
+            of_maps = np.swapaxes(T, 1, 2) @ left[:, 0]
+            bend[:, n:, n:] = self.basis.curvature(unknowns[:, COORDINATES], P, of_maps)
             weak = weak + self.weak_cost(unknowns)
         if self.prior is not None:
             weak = weak + self.prior.cost(unknowns[:, :N_UNKNOWNS])

@@ -78,6 +78,10 @@ class SpeedDynamics(LocalDynamics):
         self.late = self.sets * OWN
         self.width = self.late + len(BODY_PLACES)
 
+    def curvature(self, at: Array, maps: Array, weights: Array) -> Array:
+        """See `ActuatorDynamics.curvature`; maps are linear."""
+        return np.zeros((len(at), len(self.free), len(self.free)))
+
     def weights(self, at: Array) -> Array:
         """(K, 1 + f, 2) of the point, and of what a change of the delay adds."""
         out = np.zeros((len(at), 1 + len(self.free), 2))

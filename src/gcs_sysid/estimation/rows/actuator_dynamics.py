@@ -367,9 +367,6 @@ class ActuatorDynamics:
         self.high = np.array([axis[-1] for axis in axes])
         self.free = tuple(i for i, axis in enumerate(axes) if len(axis) > 1)
         """The coordinates that are unknown; the others are given."""
-        self.twice_delayed: Array | None = None
-        """(WIDTH, width) second derivative of all maps by delay; None: it is not the same for all,
-        and searches do without."""
         self.elements = self._chosen()
         self.late = len(self.elements) * self.sets * SIGNALS
         """Columns of the elements."""
@@ -467,6 +464,25 @@ class ActuatorDynamics:
                 maps[:, :, column, start + place : start + self.bends : N_BENT] = bent
         return maps
 
+    def curvature(self, at: Array, maps: Array, weights: Array) -> Array:
+        """Second derivatives of sums over the maps, by differences of the first.
+
+        Args:
+            at: (K, N_COORDINATES).
+            maps: (K, 1 + f, WIDTH, width) there.
+            weights: (K, WIDTH, width) that a map's elements are summed with.
+
+        Returns:
+            (K, f, f) by the free coordinates.
+        """
+        out = np.empty((len(at), len(self.free), len(self.free)))
+        for i, step in enumerate(_DIFFERENCE * (self.high - self.low)[list(self.free)]):
+            beside = at.copy()
+            beside[:, self.free[i]] += step
+            change = (self.maps(beside)[:, 1:] - maps[:, 1:]) / step
+            out[:, i] = (weights[:, None] * change).sum(axis=(2, 3))
+        return 0.5 * (out + np.swapaxes(out, 1, 2))
+
     def _bent(self, at: Array, by: Sequence[int | None], targets: _Targets) -> list[Array]:
         """(K, bent lags) weights of the bends at (K, 3) coordinates, or their derivatives."""
         if self._bent_span is None:
@@ -518,6 +534,8 @@ class ActuatorDynamics:
         return np.stack([1.0 - curve, curve], axis=1)
 
 
+_DIFFERENCE = 1e-3
+"""Share of a coordinate's range, over which derivatives are differences."""
 _SCANNED = (8, 6, 5, 1, 1)
 """Most values of each coordinate from which a search starts."""
 

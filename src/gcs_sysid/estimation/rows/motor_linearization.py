@@ -105,7 +105,8 @@ class LocalDynamics(ActuatorDynamics):
         for place, i in enumerate(self.varied, 3):
             self._slopes[1 + self.free.index(i), place] = 1.0 / self.moved[i]
         self.width = self.late + len(BODY_PLACES)
-        twice = self.twice_delayed = np.zeros((WIDTH, self.width))
+        twice = self._twice_delayed = np.zeros((WIDTH, self.width))
+        """Second derivative of all maps by delay."""
         places = np.arange(OWN)[:, None] + OWN * np.arange(1, 3)  # of both delays
         twice[_OF_ROTORS[:, None], places] = self.moved[Coordinate.DELAY] ** -2.0
 
@@ -133,6 +134,13 @@ class LocalDynamics(ActuatorDynamics):
         maps[:, :, _OF_ROTORS[:, None], places] = self.weights(at)[:, :, None]
         maps[:, 0, BODY_PLACES, range(self.late, self.width)] = 1.0
         return maps
+
+    def curvature(self, at: Array, maps: Array, weights: Array) -> Array:
+        """See `ActuatorDynamics.curvature`; other coordinates than delay have none."""
+        f, late = len(self.free), self.free.index(Coordinate.DELAY)
+        out = np.zeros((len(at), f, f))
+        out[:, late, late] = (weights * self._twice_delayed).sum(axis=(1, 2))
+        return out
 
     def body_places(self, columns: Sequence[int]) -> list[int]:
         """See `ActuatorDynamics.body_places`."""
