@@ -106,7 +106,7 @@ def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     (logs / "one" / "b.tlog").unlink()
     airframe_file(logs / "one" / "airframe.toml", "quad-1")
-    airframe_file(logs / "airframe.toml", "others", mass=2.0)
+    airframe_file(logs / "airframe.toml", "others", mass=1.4)
     status, err = batch(logs, "-o", tmp_path / "out")
     assert status == 0
     lines = re.split(r"\r *\r", err)
@@ -117,7 +117,7 @@ def test_every_log_takes_the_nearest_airframe_and_a_terminal_sees_how_far_it_is(
         for row in read_table(tmp_path / "out" / "fleet.parquet")
         if row["verdict"]
     }
-    assert found == {"one": ("quad-1 1:1", 1.5), "two": ("others 1:1", 2.0)}
+    assert found == {"one": ("quad-1 1:1", 1.5), "two": ("others 1:1", 1.4)}
 
 
 def test_a_log_without_airframe_is_told_before_anything_is_done(batch, logs, tmp_path):

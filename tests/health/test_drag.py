@@ -7,7 +7,7 @@ from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import determined
 from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.hover import windows_of
-from gcs_sysid.health.log_streams import Flight, RotorStream, Streams
+from gcs_sysid.health.log_streams import FlightTimes, RotorStream, Streams
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.recursions import lfilter
@@ -39,7 +39,7 @@ def flown(seed, *, linear=0.2, square=0.015, wind=(3.0, -4.0), speeds=(3.0, 10.0
         Stream.VELOCITY: (t, np.column_stack([velocity, np.zeros((len(t), 4))])),
     }
     u = RotorStream("u", tuple((t, np.full(len(t), 0.5)) for _ in range(4)), 25.0)
-    streams = Streams(Flight(0.0, t, np.ones(len(t), bool)), tracks, None, u, {})
+    streams = Streams(FlightTimes(0.0, t, np.ones(len(t), bool)), tracks, None, u, {})
     return streams, windows_of(streams, 4)
 
 

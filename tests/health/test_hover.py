@@ -10,7 +10,7 @@ from gcs_sysid.health import balance, command_curve
 from gcs_sysid.health.airframe_guess import GuessedAirframe
 from gcs_sysid.health.assessment import health_of
 from gcs_sysid.health.hover import windows_of
-from gcs_sysid.health.log_streams import Flight, RotorStream, Streams, streams_of
+from gcs_sysid.health.log_streams import FlightTimes, RotorStream, Streams, streams_of
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.columns import IntakeEvent
@@ -390,7 +390,7 @@ def test_the_curve_is_that_of_what_slow_rotors_do_not_of_what_is_commanded_meanw
         RotorStream(name, tuple((t[::10], column) for column in values[::10].T), 10.0)
         for name, values in (("u", u), ("rpm", speeds))
     )
-    flight = Flight(0.0, t, np.ones(len(t), bool))
+    flight = FlightTimes(0.0, t, np.ones(len(t), bool))
     windows = windows_of(Streams(flight, tracks, measured, commands, {}), 4)
     found = command_curve.curve_of(windows, None, None, "").c
     assert windows.lag == pytest.approx(lag, abs=0.03)

@@ -68,7 +68,7 @@ class RotorStream:
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightTimes:
     """When a vehicle flies, and how its IMU reads, as an analysis has it.
 
     Attributes:
@@ -107,7 +107,7 @@ class Streams:
         extras: as of `telemetry.track_collector.Recording`.
     """
 
-    flight: Flight
+    flight: FlightTimes
     tracks: Mapping[Stream, tuple[Array, Array]]
     speeds: RotorStream | None
     commands: RotorStream | None
@@ -135,7 +135,7 @@ def flight_in(
     autopilot: str,
     parameters: Mapping[str, float],
     sampler: Sampler | None = None,
-) -> tuple[Flight, list[Track]]:
+) -> tuple[FlightTimes, list[Track]]:
     """When the vehicle flies, and the log's tracks on the session's time, which rises.
 
     Args:
@@ -164,7 +164,7 @@ def flight_in(
     boots = sampler.boots or [(0, 0.0)]
     gyro, saturation = sampler.gyro_check.result(), sampler.time_base.saturation
     tracks = [_in_session(track, boots) for block in blocks for track in block.tracks]
-    flight = Flight(boots[0][1], t, flying, gyro, saturation.found())
+    flight = FlightTimes(boots[0][1], t, flying, gyro, saturation.found())
     return flight, [_steady(track) for track in by_key(tracks).values()]
 
 
@@ -181,7 +181,7 @@ def streams_of(
 
 
 def streams_in(
-    flight: Flight,
+    flight: FlightTimes,
     tracks: Iterable[Track],
     airframe: Airframe,
     autopilot: str,
