@@ -24,13 +24,7 @@ from gcs_sysid.estimation.record.article_estimator import Method
 from gcs_sysid.estimation.record.tuning import EstimatorTuning
 from gcs_sysid.significance import Z95
 from testbed.article import NAMES, TABLE_3
-from testbed.article_flights import (
-    EXCITED_FROM,
-    GEOMETRY,
-    fly,
-    fly_late,
-    measure,
-)
+from testbed.article_flights import EXCITED_FROM, GEOMETRY, fly, fly_late, measure
 
 SIGMA = 0.02
 """The article's baseline noise."""

@@ -25,13 +25,7 @@ from gcs_sysid.control.loop_margins import (
     open_loops,
 )
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.control.tuning_study import (
-    Change,
-    answers,
-    parted_answers,
-    propose,
-    what_if,
-)
+from gcs_sysid.control.tuning_study import Change, answers, parted_answers, propose, what_if
 from gcs_sysid.exports.exported_vehicle import drawn_vehicles
 from gcs_sysid.model.parameters import INERTIA
 from gcs_sysid.signals.recursions import lfilter

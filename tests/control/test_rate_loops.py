@@ -5,12 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from gcs_sysid.control.rate_loops import (
-    HoverPoint,
-    ardupilot_mixer,
-    px4_mixer,
-    read_loop,
-)
+from gcs_sysid.control.rate_loops import HoverPoint, ardupilot_mixer, px4_mixer, read_loop
 from gcs_sysid.errors import InputError
 from gcs_sysid.model.airframe import load_airframe
 from sim_bridge.rate_controllers import CONTROLLERS

@@ -9,10 +9,7 @@ from scipy.signal import lfilter
 
 from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.online.fit import Fit, FitMoments
-from gcs_sysid.estimation.parameters.given_errors import (
-    Given,
-    given_stds,
-)
+from gcs_sysid.estimation.parameters.given_errors import Given, given_stds
 from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH
 from gcs_sysid.estimation.rows.regression import NormalEquations
 from gcs_sysid.model import rigid_body as rb

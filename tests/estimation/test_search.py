@@ -14,12 +14,7 @@ from gcs_sysid.estimation.fit.problem import Problem
 from gcs_sysid.estimation.fit.search import first_guess
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.fit.whitener_choice import BankProblem, with_possible_noise
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    BODY,
-    PLAIN,
-    WIDTH,
-    ActuatorDynamics,
-)
+from gcs_sysid.estimation.rows.actuator_dynamics import BODY, PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 from tests.estimation.rows_fit import moments_as
 from tests.known_theta import prior_of, sizes, theta_from

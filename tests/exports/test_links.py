@@ -13,10 +13,7 @@ from .known import FULL_SPEED, LAG, TURN, VALUES, Equations, command_result, wit
 
 parsing = pytest.importorskip("pydrake.multibody.parsing")
 from pydrake.multibody.math import SpatialForce  # noqa: E402
-from pydrake.multibody.plant import (  # noqa: E402
-    ExternallyAppliedSpatialForce,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant  # noqa: E402
 
 logging.getLogger("drake").setLevel(logging.ERROR)
 """It warns of Gazebo's plugins, which it does not know."""

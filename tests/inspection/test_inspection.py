@@ -9,12 +9,7 @@ import pytest
 
 from gcs_sysid.cli.inspect_command import report
 from gcs_sysid.inspection.inspector import Inspector, inspect_link, inspect_log
-from gcs_sysid.inspection.stream_watch import (
-    CHUNK,
-    MotionWatch,
-    StreamWatch,
-    assumed_airframe,
-)
+from gcs_sysid.inspection.stream_watch import CHUNK, MotionWatch, StreamWatch, assumed_airframe
 from gcs_sysid.judgement.status import level_of
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.session.analysis import analyze_log

@@ -7,13 +7,7 @@ import pytest
 
 from gcs_sysid.model.parameters import REGISTRY
 from gcs_sysid.results import words
-from gcs_sysid.results.words import (
-    PAGE,
-    PLAIN,
-    percent_column,
-    rounded,
-    scaled_unit,
-)
+from gcs_sysid.results.words import PAGE, PLAIN, percent_column, rounded, scaled_unit
 
 
 def test_examples_run():

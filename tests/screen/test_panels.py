@@ -10,19 +10,8 @@ from gcs_sysid.screen import formatting
 from gcs_sysid.screen.bars import advice_lines, verdict_lines
 from gcs_sysid.screen.formatting import HEIGHT
 from gcs_sysid.screen.main_view import blocks
-from gcs_sysid.screen.panels import (
-    facts,
-    health_lines,
-    horizon,
-    message_line,
-)
-from gcs_sysid.screen.plots import (
-    overlay,
-    reduced_history,
-    shade,
-    strip,
-    ticks_of,
-)
+from gcs_sysid.screen.panels import facts, health_lines, horizon, message_line
+from gcs_sysid.screen.plots import overlay, reduced_history, shade, strip, ticks_of
 from gcs_sysid.screen.snapshot_view import (
     MessageRate,
     gain_text,

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from gcs_sysid.signals.smoothers import (
-    LinearDifferentiator,
-    nonlinear_differentiator,
-)
+from gcs_sysid.signals.smoothers import LinearDifferentiator, nonlinear_differentiator
 from testbed.article import central_difference
 
 

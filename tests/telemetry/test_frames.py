@@ -8,12 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gcs_sysid.telemetry.dialect import mavlink
-from gcs_sysid.telemetry.frames import (
-    LONGEST_FRAME,
-    FrameScanner,
-    Validity,
-    read_frame,
-)
+from gcs_sysid.telemetry.frames import LONGEST_FRAME, FrameScanner, Validity, read_frame
 
 FIXTURES = settings(
     deadline=None,

@@ -5,12 +5,7 @@ import os
 import pytest
 
 from gcs_sysid.errors import LinkError
-from gcs_sysid.telemetry.link import (
-    Link,
-    PersistentLink,
-    ReceivedBytes,
-    open_link,
-)
+from gcs_sysid.telemetry.link import Link, PersistentLink, ReceivedBytes, open_link
 from gcs_sysid.telemetry.outgoing import Gate
 from gcs_sysid.telemetry.transceiver import Receiver
 from gcs_sysid.telemetry.urls import LinkUrl

@@ -95,21 +95,16 @@ def test_a_frame_found_after_garbage_has_its_own_time_if_that_is_whole(raws):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30))
-def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed):
+def test_windows_of_any_size_give_the_same_frames_times_and_counts(raws, seed, damage):
     rng = random.Random(seed)
-    data = bytearray(as_log(raws * 2))
-    for _ in range(rng.choice([0, 2, 20])):
+    data = as_log(raws * 2)
+    for _ in range(rng.choice([0, 1, 4])):
         at = rng.randrange(len(data))
-        match rng.randrange(3):
-            case 0:
-                data[at] ^= 1 << rng.randrange(8)
-            case 1:
-                del data[at : at + rng.randrange(1, 60)]
-            case _:
-                data[at:at] = rng.choice([rng.randbytes(rng.randrange(1, 3000)), b"\xfd\xfe" * 20])
-    whole = scan(bytes(data))
+        noise = rng.choice([rng.randbytes(rng.randrange(1, 3000)), b"\xfd\xfe" * 20])
+        data = damage(data[:at] + noise + data[at:], rng)
+    whole = scan(data)
     for window in (300, 1000, 4096):
-        assert scan(bytes(data), window) == whole
+        assert scan(data, window) == whole
 
 
 @pytest.mark.parametrize("behind", ["one", "many"])

@@ -25,12 +25,7 @@ from gcs_sysid.arrays import Array, Mask, complete_rows, runs
 from gcs_sysid.errors import InputError, needed
 from gcs_sysid.estimation.record.input_noise import CommandNoise, SpeedNoise
 from gcs_sysid.files import digest_of, log_file
-from gcs_sysid.live.acceleration_prediction import (
-    Model,
-    PredictionRows,
-    Predictor,
-    RotationSamples,
-)
+from gcs_sysid.live.acceleration_prediction import Model, PredictionRows, Predictor, RotationSamples
 from gcs_sysid.model.airframe import Airframe
 from gcs_sysid.model.parameters import AXES
 from gcs_sysid.model.rotor_input import RotorInput

@@ -13,16 +13,7 @@ from gcs_sysid.health.health_trend import Series
 from gcs_sysid.report import evidence_sections
 from gcs_sysid.report import results_sections as findings
 from gcs_sysid.report.data import ReportData
-from gcs_sysid.report.drawing import (
-    BLUE,
-    INK,
-    RED,
-    SOFT,
-    PlanView,
-    chart_of,
-    picture,
-    text,
-)
+from gcs_sysid.report.drawing import BLUE, INK, RED, SOFT, PlanView, chart_of, picture, text
 from gcs_sysid.report.page_figures import ChartData
 from gcs_sysid.report.parts import (
     Child,

@@ -21,12 +21,7 @@ from gcs_sysid.estimation.changes.tracking import TRACKING, Segment, Tracker
 from gcs_sysid.estimation.fit.priors import Prior
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.online import OnlineEstimator
-from gcs_sysid.estimation.parameters.given_errors import (
-    CAUSES,
-    Given,
-    given_effects,
-    given_stds,
-)
+from gcs_sysid.estimation.parameters.given_errors import CAUSES, Given, given_effects, given_stds
 from gcs_sysid.estimation.parameters.physical_parameters import (
     parameter_covariance,
     rotor_values,
@@ -51,13 +46,7 @@ from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.rotor_readings import RotorLines
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import (
-    RADIANS,
-    RotorSource,
-    gyro_cutoff,
-    loop_cutoff,
-    pole_count,
-)
+from gcs_sysid.signals.rotor_units import RADIANS, RotorSource, gyro_cutoff, loop_cutoff, pole_count
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit

@@ -17,13 +17,7 @@ from typing import Any
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError
-from gcs_sysid.files import (
-    BAG_SUFFIXES,
-    check_regular,
-    is_bag_folder,
-    split_log,
-    unreadable,
-)
+from gcs_sysid.files import BAG_SUFFIXES, check_regular, is_bag_folder, split_log, unreadable
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import ClockDrift

@@ -19,13 +19,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.errors import InputError, needed
-from gcs_sysid.files import (
-    MOST_BYTES_OF_TEXT,
-    parse_toml,
-    read_text,
-    real_number,
-    reject_unknown,
-)
+from gcs_sysid.files import MOST_BYTES_OF_TEXT, parse_toml, read_text, real_number, reject_unknown
 from gcs_sysid.model.attitude import conjugate, from_angles, multiply, rotate
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream

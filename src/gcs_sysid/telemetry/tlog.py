@@ -20,11 +20,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.errors import InputError
 from gcs_sysid.files import StretchSearch, check_regular, file_windows
-from gcs_sysid.telemetry.frame_block import (
-    FrameBlock,
-    checksums_agree,
-    rows_of,
-)
+from gcs_sysid.telemetry.frame_block import FrameBlock, checksums_agree, rows_of
 from gcs_sysid.telemetry.frames import (
     CHECKSUM,
     CRC_EXTRA,

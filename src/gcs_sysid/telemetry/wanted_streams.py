@@ -24,12 +24,7 @@ from gcs_sysid.signals.records import NEEDED_RATE
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import CHECKSUM, HEADER_2, LONGEST_1, SIGNATURE
 from gcs_sysid.telemetry.messages import MESSAGE_IDS
-from gcs_sysid.telemetry.outgoing import (
-    LONGEST_INTERVAL,
-    MOST_OF_GROUP,
-    SHORTEST_INTERVAL,
-    Gate,
-)
+from gcs_sysid.telemetry.outgoing import LONGEST_INTERVAL, MOST_OF_GROUP, SHORTEST_INTERVAL, Gate
 from gcs_sysid.telemetry.vehicles import MavlinkSystem
 
 USABLE = 0.92

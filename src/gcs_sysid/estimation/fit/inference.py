@@ -13,13 +13,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, COORDINATES, N_UNKNOWNS, Prior, Unknown
-from gcs_sysid.estimation.fit.problem import (
-    N_X,
-    Evaluation,
-    Problem,
-    own_power,
-    residual_maker,
-)
+from gcs_sysid.estimation.fit.problem import N_X, Evaluation, Problem, own_power, residual_maker
 from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import symmetric_roots

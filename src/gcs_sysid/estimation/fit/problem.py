@@ -33,11 +33,7 @@ from gcs_sysid.estimation.fit.priors import (
     Prior,
 )
 from gcs_sysid.estimation.fit.solver import Iterate, Stopping
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    PLAIN,
-    WIDTH,
-    ActuatorDynamics,
-)
+from gcs_sysid.estimation.rows.actuator_dynamics import PLAIN, WIDTH, ActuatorDynamics
 from gcs_sysid.model import rigid_body as rb
 
 N_X = rb.N_SIGNALS

@@ -33,11 +33,7 @@ from gcs_sysid.estimation.fit.whitener_choice import with_possible_noise
 from gcs_sysid.estimation.noise.whitening import WhitenedMoments, joined
 from gcs_sysid.estimation.online.fit import FitMoments, Instant
 from gcs_sysid.estimation.online.thrust_estimator import BELIEVED, ThrustEstimator
-from gcs_sysid.estimation.record.input_noise import (
-    SpeedNoise,
-    is_sparse,
-    with_sparse_readings,
-)
+from gcs_sysid.estimation.record.input_noise import SpeedNoise, is_sparse, with_sparse_readings
 from gcs_sysid.estimation.record.record import FlightRecord
 from gcs_sysid.estimation.record.whitened_record import WhitenedRecord
 from gcs_sysid.estimation.record.window_record import WindowRecord

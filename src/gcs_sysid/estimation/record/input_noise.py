@@ -24,11 +24,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, complete_rows, runs
 from gcs_sysid.estimation.fit.priors import Unknown
 from gcs_sysid.estimation.fit.rotation import RotationFit
-from gcs_sysid.estimation.rows.actuator_dynamics import (
-    SIGNALS,
-    ActuatorDynamics,
-    motor_filter,
-)
+from gcs_sysid.estimation.rows.actuator_dynamics import SIGNALS, ActuatorDynamics, motor_filter
 from gcs_sysid.model import rigid_body
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS

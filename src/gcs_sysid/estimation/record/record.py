@@ -28,11 +28,7 @@ from gcs_sysid.estimation.rows.actuator_dynamics import (
     LagPlace,
 )
 from gcs_sysid.estimation.rows.motor_linearization import MeanThrust
-from gcs_sysid.estimation.rows.regression import (
-    LeakySums,
-    NormalEquations,
-    RowMaker,
-)
+from gcs_sysid.estimation.rows.regression import LeakySums, NormalEquations, RowMaker
 from gcs_sysid.estimation.rows.rotor_signals import RotorPath
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.one_step import step_for
