@@ -186,6 +186,14 @@ def test_commands_sold_as_measured_speeds_are_commands(unit):
     assert "ACTUATOR_OUTPUT_STATUS under another name" in rotor_selector.refused["ESC_STATUS"]
 
 
+def test_speeds_of_a_slow_climb_are_measured():
+    """What a lag leaves of it is less than rounding."""
+    t = signals()[0]
+    u, behind = (np.tile(0.5 + 0.04 * (t - late)[:, None], 4) for late in (0.0, 0.03))
+    rotor_selector = judged(commands(u, t), speeds(190.0 * np.sqrt(behind), t))
+    assert rotor_selector.choice.name == "ESC_STATUS"
+
+
 def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():
     t, _u, v = signals()
     right, wrong = judged(speeds(v, t)), judged(speeds(RPM * v, t))

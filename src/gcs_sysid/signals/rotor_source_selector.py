@@ -68,6 +68,8 @@ _TOUCHES = 0.998
 """Share of the greatest speed or command from which another rotor has been at the same limit."""
 _SAME = 0.02
 """Error, relative to the change, below which speeds are a function of the command."""
+_LAG = 0.1
+"""s, longer than any motor's."""
 
 _ORDER = ("ESC_STATUS", "esc_status", "ESC", "ESC_TELEMETRY", "RPM",
           "actuator_motors", "ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW", "RCOU")  # fmt: skip
@@ -595,6 +597,7 @@ def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> 
     """Whether speeds follow from the commands nearest in time, without lag or noise.
 
     Rounding to whole numbers is allowed for; where nothing but rounding moves, there is no answer.
+    A motor's lag leaves as much as speeds change in a lag: little of a slow climb.
     """
     right = np.clip(np.searchsorted(command_t, t), 1, len(command_t) - 1)
     nearest = np.where(command_t[right] - t < t - command_t[right - 1], right, right - 1)
@@ -609,8 +612,9 @@ def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> 
     fit = np.polynomial.Polynomial.fit(z, y, min(3, len(np.unique(z)) - 1))
     slope = float(np.std(fit(z))) / spread
     rounding = math.hypot(_step(y), slope * _step(u)) / math.sqrt(12.0)
-    changes = float(np.std(y))
-    if changes < 10.0 * rounding:
+    late = np.searchsorted(t[near], t[near][0] + _LAG)
+    changes = float(np.std(y[late:] - y[: len(y) - late]))
+    if changes < 5.0 * rounding:
         return False
     return float(np.std(y - fit(z))) < 1.5 * rounding + _SAME * changes
 
