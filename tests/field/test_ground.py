@@ -74,3 +74,4 @@ def test_what_stood_from_the_start_is_in_no_estimate(shared_log):
     log = shared_log("field/betaflight/geprc-on-the-ground.bbl")
     result = analyze_log(log, load_airframe("betaflight-quad-x").with_anchor("mass", 0.2))
     assert result.telemetry["used_seconds"] == 0.0
+    assert "never seen in the air" in result.reasons

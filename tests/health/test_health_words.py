@@ -90,6 +90,14 @@ def test_a_cg_that_an_analysis_only_guesses_decides_nothing():
     assert SIDES in shown.findings[0].what
 
 
+def test_a_change_that_an_analysis_found_comes_first():
+    drift = Estimate(-0.06, 0.01, "1", "identified")
+    shown = beside_analysis(replace(HEALTH, drift=drift), result_of({}, segments=({"end": 80.8},)))
+    summary = document_of(shown)["summary"]
+    assert (summary["word"], shown.findings[0].what) == ("LOOK AT", "the vehicle changed at 81 s")
+    assert shown.drift is None
+
+
 @pytest.mark.parametrize(("status", "std"), [("identified", 3e-8), ("weak", 2e-6)])
 def test_beside_an_analysis_there_is_one_k_T(status, std):
     found = {"k_T": Estimate(1.1e-5, std, "N s^2", status)}

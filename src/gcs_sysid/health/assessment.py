@@ -29,7 +29,7 @@ from gcs_sysid.health.hover import Windows, lines_of, windows_of
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.log_streams import RotorStream, Streams
 from gcs_sysid.health.rotor_condition import Load, compare_loads, load_of, watch_rotors
-from gcs_sysid.health.vehicle_health import Health, HealthOptions, RotorHealth
+from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, RotorHealth
 from gcs_sysid.judgement.imu_faults import of_sensors
 from gcs_sysid.judgement.plausibility import REREAD, misfits, of_spins, of_turning, too_fast
 from gcs_sysid.judgement.status import READINGS, ROTORS, SPINS, on_sound_data
@@ -368,7 +368,7 @@ def beside_analysis(health: Health, result: Result) -> Health:
         health: of the same log and airframe.
         result: of the analysis.
     """
-    health = _as_identified(_of_one_scale(health, result), result)
+    health = _changed(_as_identified(_of_one_scale(health, result), result), result)
     blamed = (objection for objection in result.objections if objection.by == ROTORS)
     refused = next(blamed, None) if result.verdict == "refused" else None
     if refused is None or health.contradicted or not health.available:
@@ -383,6 +383,22 @@ def beside_analysis(health: Health, result: Result) -> Health:
         explained=health.explained,
         explained_coupled=health.explained_coupled,
     )
+
+
+def _changed(health: Health, result: Result) -> Health:
+    """With a change in flight that the analysis found: hover is of two vehicles then."""
+    if not result.segments or not health.available:
+        return health
+    at = result.segments[-1]["end"]
+    found = Finding(
+        "what it carries",
+        f"the vehicle changed at {at:.0f} s",
+        f"was something dropped, loaded or moved at {at:.0f} s? CG, loads and hover throttle are "
+        "of before and after together",
+        spoils=True,
+    )
+    findings, advice = (found, *health.findings), (found.do, *health.advice)
+    return replace(health, findings=findings, advice=advice, drift=None)
 
 
 def _of_one_scale(health: Health, result: Result) -> Health:

@@ -202,6 +202,8 @@ class Chain:
         """The scale of each segment, and that in force."""
         self.tracker: Tracker | None = None
         """None before the first sample in flight."""
+        self.flown = 0.0
+        """S in the air, as far as it has turned out to be."""
         self.fit = Fit(None, None, 0.0)
         """The latest."""
         self.contradicted: dict[str, Estimate] = {}
@@ -452,7 +454,9 @@ class Chain:
         if began is not None and began < left:
             self.log.note(block.newest_at, "it has stood so far: the estimate restarts")
             self._forget_estimate()
+            self.flown = 0.0
         block = block.since(int(np.searchsorted(block.t, left)))
+        self.flown += block.dt * int(np.count_nonzero(block.flying))
         if self.rotors is None or not len(block.t):
             return
         tracker = self.tracker
@@ -679,7 +683,7 @@ class Findings:
                 chain.input_lost or sampler.stands,
                 "" if chain.rotors is None else chain.rotors.doubt,
                 chain.outdated,
-                sampler.time_base.flown,
+                chain.flown,
             ),
             note=note,
             apart=self._apart(),
