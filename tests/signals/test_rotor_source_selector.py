@@ -9,7 +9,7 @@ import pytest
 from gcs_sysid.model.airframe import CommandRange, ScaleReference, load_airframe
 from gcs_sysid.signals.records import Record, Stream
 from gcs_sysid.signals.redundant_commands import mean_of
-from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector
+from gcs_sysid.signals.rotor_source_selector import STRETCH, RotorSourceSelector, _is_function
 from gcs_sysid.signals.rotor_units import (
     Range,
     are_digital,
@@ -192,6 +192,8 @@ def test_speeds_of_a_slow_climb_are_measured():
     u, behind = (np.tile(0.5 + 0.04 * (t - late)[:, None], 4) for late in (0.0, 0.03))
     rotor_selector = judged(commands(u, t), speeds(190.0 * np.sqrt(behind), t))
     assert rotor_selector.choice.name == "ESC_STATUS"
+    few = t[:21] / 3.0, u[:21], 190.0 * np.sqrt(u[:21])  # no longer than a lag
+    assert not _is_function(few[0], few[2][:, 0], few[0], few[1][:, 0])
 
 
 def test_rad_per_second_in_a_field_of_rpm_shows_by_the_thrust():

@@ -64,7 +64,9 @@ class RotorStream:
     @cached_property
     def turned(self) -> float:
         """S for which the first rotor turns, or is to."""
-        return float(np.count_nonzero(self.samples[0][1] > 0.0)) / self.rate
+        t, values = self.samples[0]
+        apart = np.minimum(np.diff(t), 3.0 / self.rate)
+        return float(apart[values[1:] > 0.0].sum())
 
 
 @dataclass(frozen=True)

@@ -613,6 +613,8 @@ def _is_function(t: Array, speeds: Array, command_t: Array, commands: Array) -> 
     slope = float(np.std(fit(z))) / spread
     rounding = math.hypot(_step(y), slope * _step(u)) / math.sqrt(12.0)
     late = np.searchsorted(t[near], t[near][0] + _LAG)
+    if len(y) - late < 20:
+        return False
     changes = float(np.std(y[late:] - y[: len(y) - late]))
     if changes < 5.0 * rounding:
         return False
