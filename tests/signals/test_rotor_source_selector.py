@@ -387,16 +387,30 @@ def test_a_unit_that_firmware_defines_is_not_guessed(source, low):
     t, _u, v = signals()
     rotor_selector = judged(speeds(0.1 * v, t, source))
     assert (rotor_selector.choice.scale == 1.0) is low
-    assert rotor_selector.assumed(rotor_selector.choice) == (
-        "eRPM without motor_poles in the log: 14 poles assumed" if low else ""
-    )
+    doubt = rotor_selector.doubt(rotor_selector.choice)
+    assert doubt.assumed == ("eRPM without motor_poles in the log: 14 poles assumed" if low else "")
+    assert doubt.as_sent.startswith("" if low else "rotor speeds are taken as sent")
 
 
-def test_poles_that_were_counted_are_given_and_no_assumption():
+@pytest.mark.parametrize(
+    ("source", "logged", "scale"),
+    [
+        ("eRPM", {}, 14.0 / 12.0), ("omegaUnfiltered", {"motor_poles": 10.0}, 10.0 / 12.0),
+        ("ESC", {"SERVO_FTW_MASK": 15.0, "SERVO_FTW_POLES": 24.0}, 2.0),
+        ("ESC", {"CAN_D1_PROTOCOL": 8.0, "CAN_D1_KDE_NPOLE": 6.0}, 0.5),
+        ("omegaUnfiltered", {}, None), ("ESC", {"SERVO_FTW_MASK": 0.0}, None),
+    ],
+)  # fmt: skip
+def test_poles_that_were_counted_are_given_and_no_assumption(source, logged, scale):
     t, _u, v = signals()
-    rotor_selector = judged(speeds(v, t, "eRPM"), airframe=replace(PAPER, motor_poles=12))
-    assert rotor_selector.choice.scale == pytest.approx(14.0 / 12.0)
-    assert rotor_selector.assumed(rotor_selector.choice) == ""
+    rotor_selector = RotorSourceSelector(replace(PAPER, motor_poles=12), MASS)
+    for name, value in logged.items():
+        rotor_selector.learn(name, value)
+    judged(speeds(v, t, source), rotor_selector=rotor_selector)
+    assert rotor_selector.choice.scale == pytest.approx(scale or 1.0)
+    assumed, as_sent = rotor_selector.doubt(rotor_selector.choice)
+    assert not assumed
+    assert ("motor_poles is not used" in as_sent) is (scale is None)
 
 
 def test_stopped_is_zero():

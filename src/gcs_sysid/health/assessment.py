@@ -41,7 +41,7 @@ from gcs_sysid.results.result import Result
 from gcs_sysid.session.reported_layout import ReportedLayout
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
-from gcs_sysid.signals.rotor_units import RADIANS, assumed_unit, speed_scale, unseen_scale
+from gcs_sysid.signals.rotor_units import RADIANS, speed_scale, unit_doubt
 from gcs_sysid.signals.sampling import Sampler
 from gcs_sysid.telemetry.logs import Log, OnboardLog, Telemetry, open_log
 
@@ -317,12 +317,11 @@ def health_of(
     weakened, watched = watch_rotors(hover, thrust, c, airframe, places)
     health = replace(health, weakened=weakened, watched=watched)
     unfit = (*_misfits(health, guess), *((REREAD,) if scale == RADIANS else ()))
-    seen = health.turning is not None or airframe.motor_poles is not None
-    assumed = assumed_unit(source.source, source.range, parameters, seen=seen)
-    open_range = ""
+    seen = health.turning is not None
+    assumed, unit = unit_doubt(source.source, source.range, parameters, airframe, seen=seen)
+    open_range, unit = "", assumed or unit
     if commands is not None:  # beside speeds too
-        open_range = assumed_unit(commands.source, commands.range, parameters)
-    unit = assumed or unseen_scale(rotor_input, parameters, seen=seen)
+        open_range = unit_doubt(commands.source, commands.range, parameters, airframe).assumed
     said = filter(None, dict.fromkeys((unit, open_range)))
     health = replace(health, assumptions=(*health.assumptions, *said), unit=unit)
     otherwise = tuple(of_turning(health.turning))

@@ -108,7 +108,7 @@ class ChainWatch:
         reasons = [f"{name} {why}" for name, why in refused.items()]
         if believed is None:
             return ChosenSource(None, tuple(reasons), rotor_selector.judged)
-        assumed = rotor_selector.assumed(believed, seen=True)  # no IMU is looked at for lines
+        assumed = rotor_selector.doubt(believed, seen=True).assumed  # no IMU is looked at for lines
         if believed.kind.motors or believed.scale == RADIANS or assumed:
             reasons.append(f"rotors from {believed.name}, {believed.why}")
         span = believed.range

@@ -96,6 +96,7 @@ class Evidence:
         filtered: whether the gyro comes through a low-pass, which colors its noise.
         given: name -> standard deviation that comes from what was given, SI.
         assumed: of the unit of the rotors' input, in words; empty where it is known.
+        as_sent: that nothing checks it, in words; empty where something does.
         unlike: share by which rotors' speeds squared are not those of their commands; None where no
             commands show it.
         stale: that the rotor stream in use held old readings in a part of the flight; else empty.
@@ -132,6 +133,7 @@ class Evidence:
     filtered: bool = False
     given: Mapping[str, float] = field(default_factory=dict)
     assumed: str = ""
+    as_sent: str = ""
     unlike: float | None = None
     stale: str = ""
     reread: bool = False

@@ -21,7 +21,7 @@ from gcs_sysid.model.parameters import GRAVITY, INERTIA, PARAMETERS
 from gcs_sysid.model.rigid_body import inertia_matrix
 from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.signals.rotor_readings import AGE, APART
-from gcs_sysid.signals.rotor_units import LARGEST_ROTOR, unseen_scale
+from gcs_sysid.signals.rotor_units import LARGEST_ROTOR
 from gcs_sysid.significance import Z95
 
 Range = tuple[float, float]
@@ -111,14 +111,10 @@ def unshaken_speeds(evidence: Evidence) -> Iterator[Objection]:
 def unseen_speeds(evidence: Evidence) -> Iterator[Objection]:
     """Speeds that nothing checks: a note, as rpm is what they are defined in."""
     names = _BY_SCALE if evidence.anchor == "k_T" else _BY_SPEED
-    seen = evidence.turning is not None or evidence.airframe.motor_poles is not None
-    unseen = unseen_scale(evidence.rotor_input, evidence.parameters, seen=seen)
     claimed = evidence.received is not None and names & _known(evidence).keys()
-    if unseen and claimed and not evidence.assumed:
-        yield Objection(unseen, names, verdict="identified", how=_COUNT)
-
-
-_COUNT = "compare the magnets of a motor with the pole count of its ESC or autopilot"
+    if evidence.as_sent and claimed:
+        how = "compare the magnets of a motor with the pole count of its ESC or autopilot"
+        yield Objection(evidence.as_sent, names, verdict="identified", how=how)
 
 
 def of_turning(factor: float | None) -> Iterator[Objection]:

@@ -46,7 +46,14 @@ from gcs_sysid.signals.columns import IntakeEvent, RecordBlock
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
 from gcs_sysid.signals.rotor_readings import RotorLines
 from gcs_sysid.signals.rotor_source_selector import RotorSourceSelector
-from gcs_sysid.signals.rotor_units import RADIANS, RotorSource, gyro_cutoff, loop_cutoff, pole_count
+from gcs_sysid.signals.rotor_units import (
+    RADIANS,
+    RotorSource,
+    UnitDoubt,
+    gyro_cutoff,
+    loop_cutoff,
+    pole_count,
+)
 from gcs_sysid.signals.sampling import SampleBlock, Sampler
 from gcs_sysid.signals.time_base import TimeBase
 from gcs_sysid.significance import FALSE_ALARM_RATE, normal_limit
@@ -705,7 +712,8 @@ class Findings:
         return replace(
             evidence,
             given=given_stds(evidence.estimates, fit, self._given(anchor)),
-            assumed=self._assumed,
+            assumed=self._unit_doubt.assumed,
+            as_sent=self._unit_doubt.as_sent,
             unlike=None if source is None else source.unlike,
             stale="" if source is None else chain.rotor_selector.stale.get(source.name, ""),
             reread=source is not None and source.scale == RADIANS,
@@ -714,11 +722,11 @@ class Findings:
         )
 
     @property
-    def _assumed(self) -> str:
-        """What is assumed of the rotors' unit."""
+    def _unit_doubt(self) -> UnitDoubt:
+        """Of the rotors' stream."""
         chain, source = self.chain, self.chain.rotors
         seen = chain.rotor_lines.factor is not None
-        return "" if source is None else chain.rotor_selector.assumed(source, seen=seen)
+        return UnitDoubt() if source is None else chain.rotor_selector.doubt(source, seen=seen)
 
     @property
     def _scale(self) -> AbsoluteScale:
@@ -819,7 +827,7 @@ class Findings:
     def _assumptions(self) -> Iterator[dict[str, Any]]:
         """What neither the log nor the user gives."""
         source, airframe = self.chain.rotors, self.chain.airframe
-        if source is not None and (words := self._assumed):
+        if source is not None and (words := self._unit_doubt.assumed):
             if (span := source.range) is not None:
                 what = f"range of {source.name}"
                 yield {"what": what, "value": [span.low, span.high], "source": words}

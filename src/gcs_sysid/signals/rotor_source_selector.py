@@ -44,12 +44,13 @@ from gcs_sysid.signals.rotor_units import (
     UNSIGNED,
     Range,
     RotorSource,
-    assumed_unit,
+    UnitDoubt,
     command_range,
     normalized,
     seen_of,
     speed_scale,
     turns_either_way,
+    unit_doubt,
 )
 
 STRETCH = 2.5
@@ -270,10 +271,10 @@ class RotorSourceSelector:
         found = command_range(source.name, command, self.autopilot, self.parameters, seen)
         return source.range if isinstance(found, str) else found
 
-    def assumed(self, source: RotorSource, *, seen: bool = False) -> str:
-        """What is still assumed of the unit of a source, as of `assumed_unit`."""
-        seen |= self._airframe.motor_poles is not None
-        return assumed_unit(source.name, self._range_now(source), self.parameters, seen=seen)
+    def doubt(self, source: RotorSource, *, seen: bool = False) -> UnitDoubt:
+        """What the unit of a source is still in doubt by, as of `unit_doubt`."""
+        range_ = self._range_now(source)
+        return unit_doubt(source.name, range_, self.parameters, self._airframe, seen=seen)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""
@@ -324,7 +325,7 @@ class RotorSourceSelector:
             name = self.choice.name
             gone = f"{name} died in flight ({refused.get(name, 'no data')}); "
         if chosen is not None:
-            assumed = self.assumed(chosen, seen=True)  # what the IMU shows comes later
+            assumed = self.doubt(chosen, seen=True).assumed  # what the IMU shows comes later
             why = gone + chosen.why + (f" ({assumed})" if assumed else "")
             chosen = replace(chosen, why=why, refused=refused, order=self.order)
         self.choice, self.refused = chosen, refused

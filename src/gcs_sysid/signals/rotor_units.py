@@ -8,6 +8,7 @@ part of the result.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ PARAMETER_NAMES = ("MOT_PWM_", "MOT_SPIN_M", "PWM_M", "PWM_AUX_M", "UAVCAN_E", "
                    "motorOutput", "minthrottle", "maxthrottle", "dshot_bidir", "features",
                    "motor_pwm_protocol", "motor_poles", "RCMAP_THROTTLE", "MOT_TCRV_",
                    "THR_MIN", "IMU_GYRO_CUTOFF", "SERVO_BLH_POLES", "MOT_POLE_COUNT",
+                   "SERVO_FTW_", "KDE_NPOLE", "CAN_D1_", "CAN_D2_",
                    *(f"RC{n}_M" for n in range(1, 9)))  # fmt: skip
 """How the names of the parameters that matter here begin, beside functions of outputs."""
 
@@ -37,10 +39,16 @@ _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
 _DSHOT_PROTOCOLS, _DSHOT_TYPES = range(5, 9), range(4, 8)
 """Values of Betaflight's motor_pwm_protocol, and of ArduPilot's MOT_PWM_TYPE."""
+_KDE = 8.0
+"""Value of ArduPilot's CAN_Dn_PROTOCOL for KDE's ESCs."""
 MOTOR_POLES = 14.0
 """The default of every firmware."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
 """Speeds of blackbox logs, whose unit the firmware defines; of others a sender may be wrong."""
+_AS_SENT = (
+    "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
+    "is in proportion to its inverse square"
+)
 _NO_MOTOR_OUTPUT = " assumed: the log has no motorOutput"
 LARGEST_ROTOR = 0.0098
 """k_T, kg/m^3, over the fourth power of the distance between neighbors, at most: C_T rho D^4 /
@@ -231,41 +239,67 @@ def starts_of(source: str, values: Array, *, digital: bool) -> Array:
     return np.where((values >= _LEAST_PULSE) & (values <= 2400.0), 1000.0, 0.0)
 
 
-def assumed_unit(
-    source: str, range_: Range | None, parameters: Parameters, *, seen: bool = False
-) -> str:
-    """What is assumed of the unit of a rotor stream, in words; empty where it is known.
+class UnitDoubt(NamedTuple):
+    """Of the unit of a rotor stream, in words; empty where it is known.
+
+    Attributes:
+        assumed: what the log does not define; nothing in proportion to it is known.
+        as_sent: that nothing checks a unit that the source defines.
+    """
+
+    assumed: str = ""
+    as_sent: str = ""
+
+
+def unit_doubt(
+    source: str,
+    range_: Range | None,
+    parameters: Parameters,
+    airframe: Airframe,
+    *,
+    seen: bool = False,
+) -> UnitDoubt:
+    """What the unit of a rotor stream is in doubt by.
 
     Args:
         source: as in `Record`.
-        range_: of commands.
+        range_: of commands; None: they are speeds.
         parameters: known so far.
-        seen: whether the IMU shows how fast the rotors turn, or the airframe file has the poles.
+        airframe: which may have the poles.
+        seen: whether the IMU shows how fast the rotors turn.
     """
     if range_ is not None:
-        return f"{source}: {range_.origin}" if range_.assumed else ""
-    divided = pole_count(source, parameters)
-    if divided is None or seen:
-        return ""
+        return UnitDoubt(f"{source}: {range_.origin}" if range_.assumed else "")
+    divided, counted = pole_count(source, parameters), airframe.motor_poles is not None
+    if seen or (divided is not None and counted):
+        return UnitDoubt()
+    if divided is None or source == DEFINED_SPEEDS[1]:
+        unused = "; motor_poles is not used, as no pole count of theirs is known" if counted else ""
+        return UnitDoubt(as_sent="" if is_simulated(parameters) else _AS_SENT + unused)
     name, poles = divided
     if not parameters.get(name, 0.0) >= 2.0:
-        return f"{source} without {name} in the log: {poles:g} poles assumed"
-    return f"{source} by {name}, as it was entered or left: {poles:g} poles assumed"
+        return UnitDoubt(f"{source} without {name} in the log: {poles:g} poles assumed")
+    return UnitDoubt(f"{source} by {name}, as it was entered or left: {poles:g} poles assumed")
 
 
 def pole_count(source: str, parameters: Parameters) -> tuple[str, float] | None:
     """The parameter by which electrical speeds became those of rotors, and its value.
 
-    What drives ESCs by DShot divides by a number that the user counts; others send rpm. None: so
-    does this source, as far as the parameters show, or it is of a simulator.
+    What drives ESCs by DShot, FETtec's or KDE's protocol divides by a number that the user counts;
+    others send rpm. None: so does this source, as far as the parameters show, or it is of a
+    simulator.
     """
-    of_escs = source.lower().startswith("esc")
-    if source == "eRPM":
-        name = "motor_poles"
+    of_escs, firmware = source.lower().startswith("esc"), "motor_poles"
+    if source == DEFINED_SPEEDS[0] or (source in DEFINED_SPEEDS and firmware in parameters):
+        name = firmware
     elif is_simulated(parameters) or not of_escs:
         return None
     elif parameters.get("MOT_PWM_TYPE") in _DSHOT_TYPES:
         name = "SERVO_BLH_POLES"
+    elif parameters.get("SERVO_FTW_MASK", 0.0) > 0.0:
+        name = "SERVO_FTW_POLES"
+    elif _KDE in (parameters.get("CAN_D1_PROTOCOL"), parameters.get("CAN_D2_PROTOCOL")):
+        name = next((each for each in parameters if each.endswith("KDE_NPOLE")), "KDE_NPOLE")
     elif any(_is_dshot(driver, parameters) for driver in motor_outputs("px4", parameters)):
         name = "DSHOT_MOT_POL1" if "DSHOT_MOT_POL1" in parameters else "MOT_POLE_COUNT"
     else:
@@ -294,22 +328,6 @@ def speed_scale(
         return 1.0
     most = LARGEST_ROTOR * airframe.apart**4 * sum(float(np.mean(v * v)) for v in speeds)
     return RADIANS if mass * GRAVITY > _BEYOND * most else 1.0
-
-
-def unseen_scale(rotor_input: RotorInput, parameters: Parameters, *, seen: bool) -> str:
-    """That nothing checks the scale of speeds, in words; empty where something does.
-
-    Args:
-        rotor_input: speeds or commands.
-        parameters: known so far.
-        seen: as of `assumed_unit`.
-    """
-    if rotor_input.motors or seen or is_simulated(parameters):
-        return ""
-    return (
-        "rotor speeds are taken as sent: the IMU shows no lines to check their scale by, and k_T "
-        "is in proportion to its inverse square"
-    )
 
 
 def _of_px4(parameters: Parameters) -> Range | None:
