@@ -14,6 +14,7 @@ from gcs_sysid.control.frequency_response import (
     controller_delay,
     flown_signals,
     lateness,
+    measured_axes,
     measured_response,
     replay,
 )
@@ -25,7 +26,14 @@ from gcs_sysid.control.loop_margins import (
     open_loops,
 )
 from gcs_sysid.control.rate_loops import read_loop
-from gcs_sysid.control.tuning_study import Change, answers, parted_answers, propose, what_if
+from gcs_sysid.control.tuning_study import (
+    Change,
+    answers,
+    late_objections,
+    parted_answers,
+    propose,
+    what_if,
+)
 from gcs_sysid.exports.exported_vehicle import drawn_vehicles
 from gcs_sysid.model.parameters import INERTIA
 from gcs_sysid.signals.recursions import lfilter
@@ -118,6 +126,8 @@ def test_a_controller_shows_by_how_much_it_is_later_than_its_law(gusts):
         assert seconds == pytest.approx(delay, abs=0.4 * DT if held else max(3.0 * std, 1e-4))
         # Rates that do nothing but follow set-points show nothing where these are logged slowly.
         assert (std < 0.5 * DT) == (gusts > 10.0 or not held)
+    of_means = controller_delay(flight, replace(loop, averaged=DT), 0)
+    assert of_means == (pytest.approx(seconds + 0.5 * DT), std)
     assert controller_delay(flight, loop, 1) == (0.0, np.inf)
     wrong = FlownSignals((late * np.where(np.arange(9) == 0, -1.0, 1.0),), DT, 2.0 * np.pi * 20.0)
     assert controller_delay(wrong, loop, 0) == (0.0, np.inf)
@@ -220,6 +230,13 @@ def test_an_emulated_flight_shows_its_vehicle_and_phase_margin_and_objects_to_an
     assert not parted_answers(parts[0])
     (objection,) = parted_answers(parts[1])
     assert "roll" in objection.evidence
+    for share, way in ((0.2, "earlier"), (1.0, ""), (0.0, "later")):
+        given = replace(loop, gyro_cutoff=share * loop.gyro_cutoff)
+        late = late_objections(both[0], given, measured_axes(signals, both[0], given))
+        expected = way if loop.logs_raw_gyro or share < 0.1 else ""
+        assert len(late) == bool(expected)
+        faster = "filters act that are faster" in late[0].reason if late else False
+        assert faster is (expected == "earlier")
 
 
 class Logged:
@@ -259,7 +276,7 @@ def test_an_emulated_vehicle_flies_as_was_said_with_other_gains_payload_and_batt
     gusts = 0.1 if loop.autopilot == "px4" else 0.0  # as of the flight before
     flew = flown_by_pilot(replace(drawn, vehicle=vehicle), other, gusts, 0, again, ATTITUDE_ONLY)
     highest = said.replay.highest
-    truth = replay(flew, then, then, np.ones_like, highest).error["flown"][0]
+    truth = replay(flew, then, then, highest).error["flown"][0]
     assert said.replay.error["then"][0] == pytest.approx(truth, rel=0.03)
     assert (truth > 1.1 * said.replay.error["flown"][0]).all()
     weak = hover_dynamics([laden.changed(0.0, place, 0.2)], other, (DELAY, 0.0)), other

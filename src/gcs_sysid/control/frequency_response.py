@@ -371,7 +371,8 @@ def controller_delay(flight: FlownSignals, loop: RateLoop, axis: int) -> tuple[f
     # A controller has no noise of its own: what it leaves may be all of one sign.
     alike = radian * np.sqrt(np.median(unexplained))
     settled = abs(step[1]) < min(std, radian)
-    return (float(seconds[1]), float(np.hypot(std, alike))) if settled else unseen
+    late = float(seconds[1]) + 0.5 * loop.averaged
+    return (late, float(np.hypot(std, alike))) if settled else unseen
 
 
 def lateness(measured: Iterable[tuple[FrequencyResponse, Array, float]]) -> tuple[float, float]:

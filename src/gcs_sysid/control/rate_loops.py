@@ -132,6 +132,8 @@ class RateLoop:
             (Betaflight, INAV); 0: none.
         target_cutoff: Hz on each axis, of the rate set-point (ArduPilot); 0: none.
         torque_cutoff: Hz on each axis, of the torque (PX4, yaw); 0: none.
+        averaged: s over which the log's gyro is a mean, and so late by half (PX4's, VehicleIMU), as
+            far as that is known.
         curve: c of T/T_max = (1 - c) u + c u^2 that the autopilot inverts.
         gyro_filters: of the gyro, besides.
         derivative_filters: of the derivative, besides.
@@ -149,6 +151,7 @@ class RateLoop:
     error_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
     target_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_cutoff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    averaged: float = 0.0
     curve: float = 0.0
     gyro_filters: tuple[SignalFilter, ...] = ()
     derivative_filters: tuple[SignalFilter, ...] = ()
@@ -366,6 +369,7 @@ def _unit(autopilot: Autopilot, field: str, axis: str) -> float:
 
 def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
     cutoff = reader.get("IMU_DGYRO_CUTOFF", 30.0)
+    integrated = reader.parameters.get("IMU_INTEG_RATE", 0.0)
     return RateLoop(
         "px4",
         _rate(reader, "IMU_GYRO_RATEMAX", 400.0),
@@ -374,6 +378,7 @@ def _px4(reader: _ParameterReader, rotors: tuple[Rotor, ...]) -> RateLoop:
         reader.get("IMU_GYRO_CUTOFF", 40.0),
         (cutoff, cutoff, cutoff),
         torque_cutoff=(0.0, 0.0, reader.get("MC_YAW_TQ_CUTOFF", 2.0)),
+        averaged=1.0 / integrated if integrated >= 100.0 else 0.0,
         curve=reader.get("THR_MDL_FAC", 0.0, 1.0),
         gyro_filters=(*_px4_notches(reader, len(rotors)),),
     )

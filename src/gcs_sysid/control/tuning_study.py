@@ -156,7 +156,7 @@ def sure_margins(
     draws.
     """
     omega = frequencies(loop)
-    seen = (late + _SURE * std for late, std in flown_late(measured) if late > _SURE * std)
+    seen = (late + _SURE * std for late, std in flown_late(loop, measured) if late > _SURE * std)
     later = replace(dynamics, delay=dynamics.delay + max([loop.period, *seen]))
     low = replace(
         later,
@@ -172,7 +172,9 @@ def sure_margins(
     return least
 
 
-def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float], ...]:
+def flown_late(
+    loop: RateLoop, measured: Mapping[str, MeasuredAxis]
+) -> tuple[tuple[float, float], ...]:
     """By how much the loop that flew is later than modeled, and the standard deviation, s.
 
     Of the whole loop, in which it does not matter whose stamps are late; and of the controller
@@ -184,7 +186,8 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
     laws = [each.late for each in measured.values() if each.late is not None]
     # A gyro's filters are the same for all axes.
     own = min(laws, key=lambda each: each[1]) if laws else (0.0, 0.0)
-    whole = vehicle[0] + own[0], float(np.hypot(vehicle[1], own[1]))
+    # What makes the logged gyro late makes the vehicle late, and the controller early.
+    whole = vehicle[0] - 0.5 * loop.averaged + own[0], float(np.hypot(vehicle[1], own[1]))
     seen = (whole, own) if laws else (whole,)
     return tuple(each for each in seen if each[1] < ASSUMED_DELAY[0])
 
@@ -192,20 +195,33 @@ def flown_late(measured: Mapping[str, MeasuredAxis]) -> tuple[tuple[float, float
 def late_objections(
     dynamics: HoverDynamics, loop: RateLoop, measured: Mapping[str, MeasuredAxis]
 ) -> tuple[Objection, ...]:
-    """A loop that acts later than its gains, filters and delay say, by more than margins allow."""
-    least, late = max(((x - _SURE * std, x) for x, std in flown_late(measured)), default=(0.0, 0.0))
+    """A loop that acts later than its gains, filters and delay say, by more than margins allow.
+
+    Or a controller earlier than its own say: then it has others.
+    """
+    seen = flown_late(loop, measured)
+    bounds = [(late - _SURE * std, late) for late, std in seen]
+    bounds += [(-late - _SURE * std, late) for late, std in seen[1:]]
+    least, late = max(bounds, default=(0.0, 0.0))
     if least <= max(loop.period, ASSUMED_DELAY[1]):
         return ()
+    than, filters = ("later", "slower") if late > 0.0 else ("earlier", "faster")
+    likely = ""
+    if late in (own for own, _ in seen[1:]):
+        given = f"{loop.gyro_cutoff:g} Hz" if loop.gyro_cutoff else "none"
+        likely = (
+            f": filters act that are {filters} than those given (low-pass of the gyro: {given})"
+        )
     omega = frequencies(loop)
     fast = margins_of(omega, open_loops(dynamics.first(1), loop, omega)[0].T).crossover
     axis = int(np.nanargmax(fast))
     return (
         Objection(
-            f"the loop acts {1e3 * late:.1f} ms later than its parameters say, surely by "
-            f"{1e3 * least:.1f} ms: {np.degrees(late * fast[axis]):.0f} deg of phase at the "
-            f"crossover on {AXES[axis]}, {fast[axis]:.0f} rad/s",
+            f"the loop acts {1e3 * abs(late):.1f} ms {than} than its parameters say, surely by "
+            f"{1e3 * least:.1f} ms, {np.degrees(abs(late) * fast[axis]):.0f} deg of phase at the "
+            f"crossover on {AXES[axis]}, {fast[axis]:.0f} rad/s{likely}",
             evidence={AXES[axis]: late},
-            how="give all parameters: notches, low-passes and their switches; check the delay",
+            how="give all parameters that flew: notches, low-passes, switches; check the delay",
             by="frequency response",
         ),
     )
@@ -566,10 +582,10 @@ def study(
             f"the response on {', '.join(few)} is claimed at too few frequencies to be compared "
             "with the model"
         )
-    for seconds, std in flown_late(measured)[:1]:
+    for seconds, std in flown_late(loop, measured)[:1]:
         by = f"{1e3 * seconds:.1f} +- {1e3 * Z95 * std:.1f} ms"
         notes.append(f"by the log the loop acts {by} later than modeled")
-    if measured and loop.gains_known and not flown_late(measured):
+    if measured and loop.gains_known and not flown_late(loop, measured):
         notes.append(
             "filters are taken as given: the log is too slow or too calm to show whether the loop "
             "acts later (log gyro, commands and rate set-points at 200 Hz)"
@@ -580,7 +596,7 @@ def study(
     answered = answers(signals, (dynamics, loop)) if signals is not None and now else {}
     # A loop that does not answer as modeled is another than its margins are of.
     late_loop = late_objections(dynamics, loop, measured)
-    misjudged = (*objections, *parted_answers(answered), *late_loop)
+    misjudged = (*objections, *(late_loop or parted_answers(answered)))
     proposed, said = None, tuple(each.words for each in misjudged)
     if not misjudged:
         proposed, said = sure_proposal(dynamics, loop, now, measured)
@@ -714,7 +730,8 @@ def parted_answers(
     departures: Mapping[str, tuple[float, float, float]],
 ) -> tuple[Objection, ...]:
     """Objections to a loop by its answers to set-points."""
-    return tuple(parted(departures, LIMITS.unmodeled, "answer to set-points"))
+    how = "compare gains, filters and switches with those that flew; then delay, mass and layout"
+    return tuple(parted(departures, LIMITS.unmodeled, "answer to set-points", how))
 
 
 def _answer(dynamics: HoverDynamics, loop: RateLoop, axis: int, omega: Array) -> Array:

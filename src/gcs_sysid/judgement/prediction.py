@@ -246,7 +246,10 @@ def misplaced(evidence: Evidence) -> Iterator[Objection]:
 
 
 def parted(
-    departures: Mapping[str, tuple[float, float, float]], allowed: float, what: str = "response"
+    departures: Mapping[str, tuple[float, float, float]],
+    allowed: float,
+    what: str = "response",
+    how: str = "check mass, thrust curve, delay and layout, or analyze this flight",
 ) -> Iterator[Objection]:
     """A measured frequency response that parts from the identified model's.
 
@@ -256,6 +259,7 @@ def parted(
         departures: axis -> share of the response, its lower bound, and the frequency, rad/s.
         allowed: share.
         what: departs, in words.
+        how: what to do.
     """
     for axis, (share, least, omega) in departures.items():
         if least > allowed:
@@ -263,7 +267,7 @@ def parted(
                 f"the measured {what} departs from the model's on {axis} by {_percent(share)} at "
                 f"{omega:.0f} rad/s, surely by {_percent(least)}: the model lacks something there",
                 evidence={axis: share},
-                how="check mass, thrust curve, delay and layout, or analyze this flight",
+                how=how,
                 by="frequency response",
             )
 
