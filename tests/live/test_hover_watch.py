@@ -94,3 +94,13 @@ def test_a_reboot_begins_another_flight(airframe):
     event = IntakeEvent(2.0, "reboot", "the vehicle's clock went back: reboot")
     watch.add_records(hover(2.0, 3.0, events=[(0, event)]))
     assert watch.look(airframe)[0]["verdict"] == "refused"
+
+
+@pytest.mark.parametrize("place", [0, 40, 100])
+def test_an_event_comes_before_what_follows_it_alone(place):
+    event = IntakeEvent(501.0, "reset", "estimate reset by the user")
+    seen, before = 0, None
+    for part in hover(500.0, 501.0, events=[(place, event)]).windows():
+        before = seen if part.events else before
+        seen += len(part)
+    assert (before, seen) == (place, 100)

@@ -122,9 +122,9 @@ class RecordBlock:
             if track.stream is Stream.IMU and imu_samples and len(track.t) > imu_samples:
                 cuts |= set((track.order[imu_samples - 1 :: imu_samples] + 1).tolist())
                 cuts.add(int(track.order[-1]) + 1)
-        for number, _ in self.parameters:
+        for number, _ in (*self.parameters, *self.events):
             cuts |= {number, number + 1}
-        cuts |= {number for number, _ in self.events} | {end}
+        cuts.add(end)
         if max(cuts) == end and len(cuts) <= 2:
             yield self
             return
