@@ -58,7 +58,9 @@ def assert_same(fits, others):
             # Sums in another order, which differs between processors. A search stops where it can
             # gain less than 1e-4 of the likelihood: 0.01 deviations.
             assert np.all(difference <= 1e-3 * std), (k, difference, std)
-            assert a.rotation.std == pytest.approx(b.rotation.std, rel=1e-3)
+            # What a second hardly shows has a covariance that is all but singular.
+            near = 1e-4 if a.seconds > 1.2 else 1e-3
+            assert a.rotation.std == pytest.approx(b.rotation.std, rel=near)
         assert (a.translation is None) == (b.translation is None), k
         if a.translation is not None:
             assert a.translation.source == b.translation.source
