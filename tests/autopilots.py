@@ -37,13 +37,7 @@ class Autopilot:
     """
 
     def __init__(
-        self,
-        autopilot=mavlink.MAV_AUTOPILOT_PX4,
-        *,
-        version=2,
-        mute=False,
-        old=False,
-        key=None,
+        self, autopilot=mavlink.MAV_AUTOPILOT_PX4, *, version=2, mute=False, old=False, key=None
     ):
         self.received = 0
         self.asked = defaultdict(Counter)

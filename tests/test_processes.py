@@ -21,8 +21,7 @@ print([os.environ.get(name) for name in %r])
 
 
 @pytest.mark.parametrize(
-    ("given", "taken"),
-    [({}, ["1", "1", "1"]), ({"OPENBLAS_NUM_THREADS": "4"}, [None, "4", None])],
+    ("given", "taken"), [({}, ["1", "1", "1"]), ({"OPENBLAS_NUM_THREADS": "4"}, [None, "4", None])]
 )
 def test_commands_compute_in_one_thread_unless_the_user_says_otherwise(given, taken):
     known = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}

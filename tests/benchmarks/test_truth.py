@@ -103,21 +103,10 @@ def test_a_refusal_is_an_outcome(tmp_path: Path) -> None:
 
 def test_truths_are_read_in_every_spelling(tmp_path: Path) -> None:
     path = tmp_path / "x.truth.json"
-    path.write_text(
-        json.dumps(
-            {
-                "autopilot": "PX4",
-                "mass": 1.0,
-                "ixx": 0.02,
-                "cg_m": [0.01, -0.02, 0.0],
-                "t_max": 5.0,
-                "q_max": 0.1,
-                "kdw": 0.02,
-                "k_T": [1.0, 1.2],
-                "events": [{"mass_after": 1.4}],
-            }
-        )
-    )
+    path.write_text(json.dumps({
+        "autopilot": "PX4", "mass": 1.0, "ixx": 0.02, "cg_m": [0.01, -0.02, 0.0], "t_max": 5.0,
+        "q_max": 0.1, "kdw": 0.02, "k_T": [1.0, 1.2], "events": [{"mass_after": 1.4}],
+    }))  # fmt: skip
     truth = recordings.truth_of(tmp_path / "x.tlog")
     changes = recordings.is_changed_in_flight(tmp_path / "x.tlog")
     assert changes

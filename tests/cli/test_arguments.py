@@ -234,8 +234,7 @@ def test_the_default_airframe_is_that_of_the_command(capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "address"),
-    [("1", (1, None)), ("1:", (1, None)), ("255:0", (255, 0))],
+    ("text", "address"), [("1", (1, None)), ("1:", (1, None)), ("255:0", (255, 0))]
 )
 def test_vehicle_address(text, address):
     assert vehicle_address(text) == address

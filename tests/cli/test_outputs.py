@@ -22,7 +22,7 @@ from gcs_sysid.cli.program import run
 from sim_bridge.cli import make_parser
 
 pytestmark = [
-    pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here"),
+    pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
 ]
 
 READ = {"truth", "signing_key", "airframe", "baseline"}

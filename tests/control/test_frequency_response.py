@@ -197,10 +197,7 @@ def test_as_python_control():
 
 @pytest.fixture(
     scope="module",
-    params=[
-        (0, "px4", 0.1),
-        pytest.param((1, "ardupilot", 0.0), marks=pytest.mark.thorough),
-    ],
+    params=[(0, "px4", 0.1), pytest.param((1, "ardupilot", 0.0), marks=pytest.mark.thorough)],
 )
 def flight(request):
     seed, autopilot, gusts = request.param

@@ -72,8 +72,7 @@ def test_leaky_sum_is_the_recursion():
 
 @settings(max_examples=40, deadline=None)
 @given(
-    cuts=st.lists(st.integers(0, 80), max_size=8),
-    missing=st.lists(st.integers(0, 79), max_size=5),
+    cuts=st.lists(st.integers(0, 80), max_size=8), missing=st.lists(st.integers(0, 79), max_size=5)
 )
 def test_leaky_sum_starts_anew_after_what_is_missing(cuts, missing):
     z = rows(80)

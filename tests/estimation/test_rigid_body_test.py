@@ -6,20 +6,10 @@ import pytest
 from gcs_sysid.estimation.checks.model_tests import PRODUCTS, RigidBodyTest, judge_rigid_body
 from gcs_sysid.model import rigid_body as rb
 
-THETA = rb.theta_of(
-    {
-        "Ixx": 80.0,
-        "Iyy": 110.0,
-        "Izz": 170.0,
-        "Ixy": 6.0,
-        "Iyz": -4.0,
-        "Ixz": 5.0,
-        "cg_x": 0.01,
-        "cg_y": -0.02,
-        "moment_ratio": 0.02,
-        "rotational_damping": 60.0,
-    }
-)
+THETA = rb.theta_of({
+    "Ixx": 80.0, "Iyy": 110.0, "Izz": 170.0, "Ixy": 6.0, "Iyz": -4.0, "Ixz": 5.0,
+    "cg_x": 0.01, "cg_y": -0.02, "moment_ratio": 0.02, "rotational_damping": 60.0,
+})  # fmt: skip
 
 
 def batches(share, noise=0.05, rows=100, count=30, activity=1.0, seed=5):

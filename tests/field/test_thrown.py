@@ -11,8 +11,7 @@ from testbed.recordings import THROWN_INERTIA, airframe_for
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "numbers",
-    [(157, 159), pytest.param((161, 163, 165, 167), marks=pytest.mark.thorough)],
+    "numbers", [(157, 159), pytest.param((161, 163, 165, 167), marks=pytest.mark.thorough)]
 )
 def test_flights_that_turn_for_a_second_have_inertia_and_cg(shared_log, numbers):
     close, held = 0, 0

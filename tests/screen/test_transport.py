@@ -10,20 +10,11 @@ from gcs_sysid.screen.snapshot_view import playback_text
 from .fake import PLAYING
 
 KEYS = {
-    "space": ("pause",),
-    "p": ("pause",),
-    "left": ("skip", -10.0),
-    "right": ("skip", 10.0),
-    "shift+left": ("skip", -60.0),
-    "shift+right": ("skip", 60.0),
-    "home": ("seek", 0.0),
-    "end": ("seek", 180.0),
-    "left_square_bracket": ("speed", -1),
-    "minus": ("speed", -1),
-    "right_square_bracket": ("speed", 1),
-    "plus": ("speed", 1),
-    "equals_sign": ("speed", 1),
-}
+    "space": ("pause",), "p": ("pause",), "left": ("skip", -10.0), "right": ("skip", 10.0),
+    "shift+left": ("skip", -60.0), "shift+right": ("skip", 60.0), "home": ("seek", 0.0),
+    "end": ("seek", 180.0), "left_square_bracket": ("speed", -1), "minus": ("speed", -1),
+    "right_square_bracket": ("speed", 1), "plus": ("speed", 1), "equals_sign": ("speed", 1),
+}  # fmt: skip
 
 
 @pytest.mark.slow

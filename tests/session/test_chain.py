@@ -75,8 +75,7 @@ def without(records, *streams):
 
 
 @pytest.mark.parametrize(
-    ("gone", "reason"),
-    [(Stream.IMU, "no IMU data"), (Stream.ROTOR_SPEED, "no rotor speeds")],
+    ("gone", "reason"), [(Stream.IMU, "no IMU data"), (Stream.ROTOR_SPEED, "no rotor speeds")]
 )
 def test_what_is_missing_is_the_reason(beginning, gone, reason):
     commands = () if gone is Stream.IMU else (Stream.ROTOR_COMMAND,)

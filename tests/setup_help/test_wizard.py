@@ -69,14 +69,8 @@ def test_slips_are_answered_at_once_with_a_word():
     assert found.priors == {"k_M": (6e-6, 1e-7)}
     assert found.name == "mine"
     for word in (
-        *(
-            "from 1 to 14",
-            "decimals with a point",
-            "must be a number, got 'far'",
-            "positive",
-            "25 m is a long arm",
-            "each ccw or cw",
-        ),
+        *("from 1 to 14", "decimals with a point", "must be a number, got 'far'", "positive"),
+        *("25 m is a long arm", "each ccw or cw"),
         *("from 1 to 4", "got 'heavy'", "not grams", "three lengths", "no prior on"),
         "Ixx must be positive",
     ):

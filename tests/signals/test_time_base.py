@@ -180,8 +180,7 @@ def one_by_one(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "seed",
-    [5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (0, 1, 2, 3, 4, 6, 7))],
+    "seed", [5, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (0, 1, 2, 3, 4, 6, 7))]
 )
 @pytest.mark.parametrize("at_once", [7, 300, 10**6])
 def test_how_samples_are_cut_does_not_matter(seed, at_once):

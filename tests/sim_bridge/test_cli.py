@@ -134,11 +134,7 @@ def test_an_existing_file_is_replaced_by_force_alone(
     path = tmp_path / "f.tlog"
     path.write_bytes(b"x" * 1_000_000)
     status, out, err = run(f"--tlog {path} --duration 0.1", capsys)
-    assert (status, out, err) == (
-        2,
-        "",
-        f"sim-bridge: error: {path} exists; --force replaces it\n",
-    )
+    assert (status, out, err) == (2, "", f"sim-bridge: error: {path} exists; --force replaces it\n")
     assert path.stat().st_size == 1_000_000
     assert run(f"--tlog {path} --duration 0.1 --force", capsys) == (0, "", "")
     assert path.stat().st_size < 100_000
@@ -146,11 +142,7 @@ def test_an_existing_file_is_replaced_by_force_alone(
 
 @pytest.mark.parametrize(
     ("word", "kinds", "chosen"),
-    [
-        ("traps", KINDS, SensorFaults),
-        ("faults", FAULTS, LineFaults),
-        ("effects", EFFECTS, Physics),
-    ],
+    [("traps", KINDS, SensorFaults), ("faults", FAULTS, LineFaults), ("effects", EFFECTS, Physics)],
 )
 def test_help_tells_of_every_trap_fault_and_effect(
     word: str, kinds: dict[str, Kind], chosen: type, capsys: pytest.CaptureFixture[str]

@@ -42,9 +42,7 @@ def test_an_ensemble_equals_its_single_flights(paper_vehicle: Vehicle) -> None:
 
 
 def test_noise_equals_that_of_the_messages(
-    paper_vehicle: Vehicle,
-    tmp_path: Path,
-    read_tlog: Callable[[Path], Any],
+    paper_vehicle: Vehicle, tmp_path: Path, read_tlog: Callable[[Path], Any]
 ) -> None:
     path = tmp_path / "f.tlog"
     options = "--rate 20 --noise paper --sigma 0.03 --seed 11 --duration 4 --mission all-axes"

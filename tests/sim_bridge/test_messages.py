@@ -38,28 +38,17 @@ def clock_us(message: Any) -> int | None:
 @pytest.mark.parametrize(
     ("name", "hertz"),
     [
-        ("HIGHRES_IMU", 250),
-        ("ESC_STATUS", 250),
-        ("ACTUATOR_OUTPUT_STATUS", 250),
-        ("SERVO_OUTPUT_RAW", 250),
-        ("ATTITUDE", 100),
-        ("ATTITUDE_QUATERNION", 100),
-        ("LOCAL_POSITION_NED", 50),
-        ("EXTENDED_SYS_STATE", 2),
-        ("HEARTBEAT", 1),
-        ("SYS_STATUS", 1),
-        ("SYSTEM_TIME", 1),
-        ("ESC_INFO", 1),
-        ("GLOBAL_POSITION_INT", 5),
+        ("HIGHRES_IMU", 250), ("ESC_STATUS", 250), ("ACTUATOR_OUTPUT_STATUS", 250),
+        ("SERVO_OUTPUT_RAW", 250), ("ATTITUDE", 100), ("ATTITUDE_QUATERNION", 100),
+        ("LOCAL_POSITION_NED", 50), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1), ("SYS_STATUS", 1),
+        ("SYSTEM_TIME", 1), ("ESC_INFO", 1), ("GLOBAL_POSITION_INT", 5),
     ],
-)
+)  # fmt: skip
 def test_message_set_and_rates(records: list[tuple[int, Any]], name: str, hertz: float) -> None:
     assert len(of_type(records, name)) == 5 * hertz + 1  # 0 s and 5 s included
 
 
-def test_records_carry_the_vehicle_clock_on_a_fixed_epoch(
-    records: list[tuple[int, Any]],
-) -> None:
+def test_records_carry_the_vehicle_clock_on_a_fixed_epoch(records: list[tuple[int, Any]]) -> None:
     for stamp, message in records:
         clock = clock_us(message)
         if clock is not None and message.get_type() != "SYSTEM_TIME":

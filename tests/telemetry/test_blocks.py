@@ -244,8 +244,7 @@ def test_sequence_numbers_are_counted_alike(seed):
 @pytest.mark.slow
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "name",
-    ["public/real-quad-mavlink1.tlog", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"],
+    "name", ["public/real-quad-mavlink1.tlog", "px4-esc-cg.tlog", "ardupilot-sitl.tlog"]
 )
 def test_blocks_of_recorded_flights_make_what_single_frames_make(shared_logs, tmp_path, name):
     """A part of each, which ends within a frame."""

@@ -219,8 +219,7 @@ def test_a_quaternion_of_zeros_is_dropped(decoder, sender):
 
 
 @pytest.mark.parametrize(
-    ("first", "name"),
-    [(f, f"ESC_TELEMETRY_{f}_TO_{f + 3}") for f in (1, 5, 9, 13, 17, 21, 25, 29)],
+    ("first", "name"), [(f, f"ESC_TELEMETRY_{f}_TO_{f + 3}") for f in (1, 5, 9, 13, 17, 21, 25, 29)]
 )
 def test_every_group_of_esc_telemetry_is_read(decoder, sender, first, name):
     decoder.decode(sender.imu(3.0))

@@ -11,9 +11,7 @@ from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frames import LONGEST_FRAME, FrameScanner, Validity, read_frame
 
 FIXTURES = settings(
-    deadline=None,
-    max_examples=150,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

@@ -188,8 +188,7 @@ def as_pyulog(path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    ["public/px4-sitl.ulg", pytest.param("px4-sih-default.ulg", marks=pytest.mark.thorough)],
+    "name", ["public/px4-sitl.ulg", pytest.param("px4-sih-default.ulg", marks=pytest.mark.thorough)]
 )
 def test_a_log_is_read_as_by_pyulog(shared_logs, name):
     path = shared_logs / name

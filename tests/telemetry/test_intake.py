@@ -116,10 +116,9 @@ def test_another_vehicle_on_the_link_is_told_once_with_what_to_do(make_sender):
     intake = Intake()
     for _ in range(3):
         for who in [(1, 1), (2, 1), (1, 191), (51, 68), (255, 190)]:
-            kind = {
-                191: mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-                190: mavlink.MAV_TYPE_GCS,
-            }.get(who[1], mavlink.MAV_TYPE_QUADROTOR)
+            kind = {191: mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 190: mavlink.MAV_TYPE_GCS}.get(
+                who[1], mavlink.MAV_TYPE_QUADROTOR
+            )
             intake.frames([make_sender(*who).heartbeat(type=kind)])
     _, *others = intake.take_events()
     assert [event.kind for event in others] == ["vehicles"]
