@@ -45,13 +45,14 @@ class FaultInjector:
         self.now = 0.0
         self.spoils = sensor_faults != NO_SENSOR_FAULTS
         # A generator each: one trap does not move what another does.
-        rotor, attitude, gyro, imu, force, tilt = (seed or np.random.SeedSequence(0)).spawn(6)
+        rotor, attitude, gyro, imu, force, tilt, air = (seed or np.random.SeedSequence(0)).spawn(7)
         self._rotor_random = np.random.default_rng(rotor)
         self._attitude_random = np.random.default_rng(attitude)
         self._gyro_random = np.random.default_rng(gyro)
         self._imu_random = np.random.default_rng(imu)
         self._force_random = np.random.default_rng(force)
         self._tilt_random = np.random.default_rng(tilt)
+        self._air_random = np.random.default_rng(air)
         self._spins = [rotor.spin for rotor in vehicle.rotors]
         self._last_rpm: list[int] = []
         self._last_inertial: tuple[Sample, Sample] | None = None
@@ -101,6 +102,11 @@ class FaultInjector:
             self._last_angles = angles
         share = self.sensor_faults.attitude_outliers
         return _struck(self._last_angles, share, TILT_SPIKE, self._tilt_random)
+
+    def pressure(self, thrust: float) -> float:
+        """Pa by which a barometer is off, with the rotors at this share of full thrust."""
+        full = self.sensor_faults.thrust_pressure
+        return full * thrust + float(self._air_random.standard_normal()) if full else 0.0
 
     def quaternion(self, q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
         """The quaternion or its negative, which is the same attitude."""

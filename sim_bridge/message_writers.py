@@ -4,6 +4,8 @@ Fields are passed in wire order, which is not the order of the definitions: see
 `ordered_fieldnames` of the dialect's classes.
 """
 
+import numpy as np
+
 from gcs_sysid.model.attitude import from_euler
 from gcs_sysid.telemetry.dialect import mavlink
 from sim_bridge.instruments import Instruments
@@ -34,9 +36,11 @@ class MessageMaker:
         self._rotors = len(self._sim.vehicle.rotors)
 
     def _pressure(self) -> float:
-        """Of the standard atmosphere near the ground, hPa."""
-        height = HOME[2] - self._sim.state.body[2]
-        return float(1013.25 * (1.0 - 2.25577e-5 * height) ** 5.25588)
+        """Of the standard atmosphere near the ground, as the barometer reads it, hPa."""
+        height, vehicle = HOME[2] - self._sim.state.body[2], self._sim.vehicle
+        thrust = float(np.mean(np.square(self._sim.state.speeds)) * vehicle.k_T / vehicle.T_max)
+        pressure = float(1013.25 * (1.0 - 2.25577e-5 * height) ** 5.25588)
+        return pressure + 0.01 * self.instruments.faults.pressure(thrust)
 
 
 class FlightMessages(MessageMaker):

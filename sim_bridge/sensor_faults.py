@@ -48,6 +48,7 @@ class SensorFaults:
     imu_stuck: Span | None = None
     gyro_average: float = 0.0
     accelerometer_bias: float = 0.0
+    thrust_pressure: float = 0.0
     attitude_nan: Span | None = None
     attitude_stuck: Span | None = None
     rotor_late: float = 0.0
@@ -136,6 +137,12 @@ KINDS: dict[str, Kind] = {
     ),
     "accelerometer-bias": Kind(
         "accelerometer bias on every axis", between(0.0, 1000.0, "m/s^2"), "M/S2", "0.2"
+    ),
+    "thrust-pressure": Kind(
+        "noise of 1 Pa, and what the barometer reads at full thrust besides",
+        between(-1000.0, 1000.0, "Pa"),
+        "PA",
+        "-150",
     ),
     "attitude-nan": Kind("attitude reads NaN, duration", span, "FROM:S[:EVERY]"),
     "attitude-stuck": Kind("attitude freezes, duration", span, "FROM:S[:EVERY]"),

@@ -23,6 +23,7 @@ from sim_bridge.doublets import DoubletMission
 from sim_bridge.missions import Mission
 from sim_bridge.physics import IDEAL, Physics
 from sim_bridge.px4 import Px4
+from sim_bridge.sensor_faults import NO_SENSOR_FAULTS, SensorFaults
 from sim_bridge.simulated_vehicle import RotorTraits
 from sim_bridge.simulation import Simulation
 from testbed.emulated import fly_into
@@ -59,6 +60,7 @@ def fly(
     seconds: float | None = None,
     physics: Physics = IDEAL,
     step_us: int = STEP_US,
+    sensor_faults: SensorFaults = NO_SENSOR_FAULTS,
 ) -> None:
     """Fly into a .tlog at slow rates.
 
@@ -71,6 +73,7 @@ def fly(
         seconds: of flight; None: the whole mission.
         physics: besides.
         step_us: us of a physics step.
+        sensor_faults: in force.
     """
     vehicle = replace(drawn.vehicle, traits=traits)
     simulation = Simulation(
@@ -82,7 +85,8 @@ def fly(
         control_steps=1,
         physics=physics,
     )
-    autopilot = Px4(simulation, "mems", 0.0, IMU, np.random.SeedSequence([seed, 2]))
+    sensors = np.random.SeedSequence([seed, 2])
+    autopilot = Px4(simulation, "mems", 0.0, IMU, sensors, sensor_faults)
     phase = np.random.default_rng([seed, 3])
     for message in (
         mavlink.MAVLINK_MSG_ID_ESC_STATUS,

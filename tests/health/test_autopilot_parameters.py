@@ -7,18 +7,23 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pymavlink import mavparm
+from pymavlink import mavparm, mavutil
 
 from benchmarks.params import of_vehicle
 from gcs_sysid.__main__ import main
 from gcs_sysid.errors import InputError
 from gcs_sysid.health.assessment import ReadLog
 from gcs_sysid.health.autopilot_parameters import Proposal, determined, proposal_file
+from gcs_sysid.health.barometer import thrust_pressure
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.drive_health import motor_current
+from gcs_sysid.health.hover import windows_of
 from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, HoverCommand
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Quantity
+from sim_bridge.sensor_faults import SensorFaults
+from testbed.hover_flights import LAYOUTS, ORDINARY, fly, streams_in
+from testbed.vehicles import draw
 
 FLIGHTS = ("00000077", "00000096", "00000108", "00000122")
 """Of one vehicle, at 52 to 58 V."""
@@ -261,3 +266,30 @@ def test_a_notch_is_set_where_the_rotors_are_and_one_for_something_else_is_left(
     assert of_notch("generic", dshot_bidir=1.0, rpm_filter_harmonics=3.0, rpm_filter_min_hz=130.0)[
         "rpm_filter_min_hz"
     ].verdict == "set"  # fmt: skip
+
+
+@pytest.mark.parametrize(("seed", "full"), [(0, -120.0), (1, 1e-3), (2, 200.0)])
+def test_pressure_for_thrust_is_set_where_climbs_show_it(tmp_path, seed, full):
+    drawn, log = draw(seed, LAYOUTS), tmp_path / "a.tlog"
+    fly(log, drawn, ORDINARY, seed, sensor_faults=SensorFaults(thrust_pressure=full))
+    opened, c = mavutil.mavlink_connection(str(log)), float(drawn.vehicle.thrust_curve)
+    frames = iter(lambda: opened.recv_match(type="HIGHRES_IMU"), None)
+    read = np.array([(f.time_usec * 1e-6, 100.0 * f.abs_pressure) for f in frames]).T
+    opened.close()
+    streams = streams_in(log, drawn.airframe, speeds=False)
+    windows = windows_of(streams, len(drawn.airframe.rotors))
+    assert thrust_pressure(streams, windows, c) is None
+    streams = replace(streams, extras={"pressure": tuple(read)})
+    assert thrust_pressure(streams, windows.part(windows.t < 8.0), c) is None
+    found, hover = thrust_pressure(streams, windows, c), Quantity(0.4, 0.01, "1")
+    assert abs(found.full.value - full) < found.full.half < 25.0
+    for autopilot, name, unit in (
+        ("ardupilot", "BARO1_THST_SCALE", 1.0), ("px4", "SENS_BARO_K_T", 1.0 / found.meter),
+    ):  # fmt: skip
+        known = {"barometer": found, "hover_thrust": hover}
+        cases = (({name: 0.0}, known), ({name: unit * full}, known), ({name: 0.0}, {}), ({}, known))
+        rows = [by_name(determined([hovering(autopilot, now, **of)])) for now, of in cases]
+        of_zero = "set" if abs(full) > 1.0 else "leave"
+        assert [row[name].verdict for row in rows[:3]] == [of_zero, "leave", "cannot tell"]
+        assert name not in rows[3]
+        assert abs(rows[0][name].new - unit * full) < unit * found.full.half

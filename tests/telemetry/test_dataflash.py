@@ -339,10 +339,14 @@ def test_a_log_of_a_second_battery_alone_has_no_voltage(tmp_path, dataflash_file
     log, path = dataflash_file, tmp_path / "flight.bin"
     log.type("BAT", "QBf", "TimeUS,Inst,Volt")
     log.row("BAT", 1_000_000, 1, 12.5)
+    log.type("BARO", "QBf", "TimeUS,I,Press")
+    log.row("BARO", 1_000_000, 0, 95000.0)
+    log.row("BARO", 1_000_000, 1, 95100.0)
     path.write_bytes(log.bytes())
     recording = read_dataflash(path)
-    assert recording.counts == {"BAT": 1}
+    assert recording.counts == {"BAT": 1, "BARO": 2}
     assert not recording.tracks
+    assert recording.extras["pressure"][1].tolist() == [[95000.0]]
 
 
 TEXT = """ArduCopter V3.1

@@ -118,11 +118,15 @@ def test_escs_are_put_in_motor_order(tmp_path, ulog_file, of):
     log.nested("esc_report", ["float esc_current", "int32_t esc_rpm", "uint8_t actuator_function"])
     log.topic("esc_status", ["uint8_t esc_count", "esc_report[2] esc"])
     log.row("esc_status", 3.0, 2, 1.5, -600, 102, 2.5, 1200, 101)
+    log.topic("vehicle_air_data", ["float baro_pressure_pa"])
+    log.row("vehicle_air_data", 3.0, 95000.0)
     path = tmp_path / "escs.ulg"
     path.write_bytes(log.bytes())
     (record,) = of(open_log(path), Stream.ROTOR_SPEED, "esc_status")
     np.testing.assert_allclose(record.values, np.array([40.0, 20.0]) * math.pi)
-    assert read_ulog(path).extras["motor currents"][1].tolist() == [[2.5, 1.5]]
+    extras = read_ulog(path).extras
+    assert extras["motor currents"][1].tolist() == [[2.5, 1.5]]
+    assert extras["pressure"][1].tolist() == [[95000.0]]
 
 
 @pytest.mark.parametrize("count", [NAN, math.inf, -3.0, 0.0])

@@ -14,6 +14,7 @@ from gcs_sysid.errors import InputError, NoAnswerError
 from gcs_sysid.health import balance
 from gcs_sysid.health.advice import advised
 from gcs_sysid.health.airframe_guess import GuessedAirframe, guess_airframe, layout_by_motion
+from gcs_sysid.health.barometer import thrust_pressure
 from gcs_sysid.health.command_curve import Commanded, Curve, curve_of, thrust_of
 from gcs_sysid.health.drag import drag_of
 from gcs_sysid.health.drive_health import (
@@ -307,6 +308,7 @@ def health_of(
         arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
         by_voltage=power_of_voltage(streams, windows, curve),
+        barometer=thrust_pressure(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         motor_current=motor_current(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         drag=drag_of(streams, windows),
         turning=lines.factor,
@@ -335,6 +337,7 @@ def health_of(
             health,
             curve=None,
             drift=None,
+            barometer=None,
             motor_current=None,
             hover_throttle=None,
             hover_thrust=None,

@@ -177,6 +177,10 @@ _FOLLOWS = ", and this is the least that the notch goes to: judge the gains agai
 _LEGS = "fly legs of 20 s at 3 m/s and at 10 m/s, north, east, south and west, in calm air"
 _STEADY = "hover for 60 s, in calm air and with one load"
 _CURRENTS = "hover for 60 s with climbs and descents of 2 m, the ESCs' currents logged (esc_status)"
+_STILL_AIR = (
+    "hover for 60 s in still air, above 3 m, with brisk climbs and descents of 1 m, and take the "
+    "autopilot's own log"
+)
 _DISCHARGE = "hover from a full battery until it is low, with the voltage logged"
 
 
@@ -358,6 +362,7 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
     )
     yield _by_voltage(flight, "MC_BAT_SCALE_EN", 1.0, "")
     yield from _current(flight)
+    yield from _barometer(flight, "SENS_BARO_K_T", "m", by_meter=True)
     if int(flight.now("IMU_GYRO_DNF_EN") or 0) & 1:
         yield _notch(flight, "IMU_GYRO_DNF_MIN", None, _FOLLOWS)
     assert health.airframe is not None
@@ -407,6 +412,21 @@ def _current(flight: _HoverFlight) -> Iterator[Proposal]:
     yield flight.propose("MOTFAIL_IDLE", level, note, lacks=lacks, then=then, fly=_CURRENTS)
 
 
+def _barometer(flight: _HoverFlight, name: str, unit: str, *, by_meter: bool) -> Iterator[Proposal]:
+    """What the autopilot takes off the barometer for full thrust, where its firmware can."""
+    found, hover = flight.health.barometer, flight.health.hover_thrust
+    if flight.now(name) is None:
+        return
+    if found is None or hover is None:
+        lacks = "no pressure and thrust over climbs and descents in the autopilot's own log"
+        yield flight.propose(name, None, lacks=lacks, fly=_STILL_AIR)
+        return
+    meter = 1.0 if by_meter else found.meter
+    full = found.full.times(meter / found.meter, unit)
+    use = TUNING.worth_height * meter / hover.value
+    yield flight.propose(name, full, "pressure over climbs", use=use, fly=_STILL_AIR)
+
+
 def _of_hover(hover: Quantity | None) -> float:
     """Half of an interval of a hover's throttle that is of use."""
     return math.inf if hover is None else 2.5 * TUNING.worth_knowing * hover.value
@@ -424,6 +444,7 @@ def _ardupilot(flight: _HoverFlight) -> Iterator[Proposal]:
     if idle is not None:
         note = "0.03 above the least output at which all rotors were measured turning"
         yield flight.propose("MOT_SPIN_MIN", idle, note)
+    yield from _barometer(flight, "BARO1_THST_SCALE", "Pa", by_meter=False)
     if health.arm_known:
         yield from _imu(flight, "INS_POS1_")
     yield from _drag(flight, "EK3_DRAG_")

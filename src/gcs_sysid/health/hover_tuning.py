@@ -86,6 +86,12 @@ class HoverTuning:
         parts_of_flight: that a jackknife leaves out, one after the other.
         worth_drag: 1/s, half of an interval of use of momentum drag: wind of 3 m/s off by
             0.1 m/s^2.
+        pressure_spans: s of second differences of pressure: those of the answer, and shorter ones
+            that they are compared with.
+        unknown_pressure: prior standard deviations of the air's density, relative, and of s that
+            the barometer is late, or climbs make it.
+        pressure_floor: Pa at full thrust, that no flight goes below.
+        worth_height: m between no thrust and a hover's, half of an interval of use.
         sea_level: kg/m^3, density of the air there (standard atmosphere).
         unknown_drag: prior standard deviations of rho / (2 B) in 1/m (B of 30 kg/m^2 makes 0.02)
             and of the wind's north and east in m/s.
@@ -184,6 +190,10 @@ class HoverTuning:
     unknown_air: float = 0.1
     drag_rounds: int = 12
     parts_of_flight: int = 10
+    pressure_spans: tuple[float, float] = (2.0, 1.0)
+    unknown_pressure: tuple[float, float] = (0.05, 0.3)
+    pressure_floor: float = 2.0
+    worth_height: float = 1.0
     worth_drag: float = 0.03
     sea_level: float = 1.225
     unknown_drag: tuple[float, float, float] = (0.02, 5.0, 5.0)

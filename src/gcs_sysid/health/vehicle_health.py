@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from gcs_sysid.health.balance import Center
+from gcs_sysid.health.barometer import ThrustPressure
 from gcs_sysid.health.command_curve import Curve
 from gcs_sysid.health.drag import Drag
 from gcs_sysid.health.rotor_condition import Condition, Load, Weakened
@@ -166,6 +167,7 @@ class Health:
         turning: as of `Evidence`.
         by_voltage: power of the battery's voltage that a command is multiplied by: 1 where rotors
             slow down with the battery, 0 where the ESC makes up for it; None: not logged.
+        barometer: what thrust does to it; None where that is not seen.
         motor_current: None where ESCs do not report it, or hardly any thrust but the weight was
             commanded.
         thrust_to_weight: full thrust over weight; None without commands.
@@ -217,6 +219,7 @@ class Health:
     hover_frequency: Quantity | None = None
     turning: float | None = None
     by_voltage: Quantity | None = None
+    barometer: ThrustPressure | None = None
     motor_current: MotorCurrent | None = None
     thrust_to_weight: Quantity | None = None
     scale: tuple[str, Quantity] | None = None

@@ -39,8 +39,6 @@ _DSHOT = (48.0, 2047.0)
 """Outputs of digital drivers that turn a motor; those of PX4 are what is above the first."""
 _DSHOT_PROTOCOLS, _DSHOT_TYPES = range(5, 9), range(4, 8)
 """Values of Betaflight's motor_pwm_protocol, and of ArduPilot's MOT_PWM_TYPE."""
-_KDE = 8.0
-"""Value of ArduPilot's CAN_Dn_PROTOCOL for KDE's ESCs."""
 MOTOR_POLES = 14.0
 """The default of every firmware."""
 DEFINED_SPEEDS = ("eRPM", "omegaUnfiltered")
@@ -298,7 +296,7 @@ def pole_count(source: str, parameters: Parameters) -> tuple[str, float] | None:
         name = "SERVO_BLH_POLES"
     elif parameters.get("SERVO_FTW_MASK", 0.0) > 0.0:
         name = "SERVO_FTW_POLES"
-    elif _KDE in (parameters.get("CAN_D1_PROTOCOL"), parameters.get("CAN_D2_PROTOCOL")):
+    elif 8.0 in (parameters.get("CAN_D1_PROTOCOL"), parameters.get("CAN_D2_PROTOCOL")):  # KDE's
         name = next((each for each in parameters if each.endswith("KDE_NPOLE")), "KDE_NPOLE")
     elif any(_is_dshot(driver, parameters) for driver in motor_outputs("px4", parameters)):
         name = "DSHOT_MOT_POL1" if "DSHOT_MOT_POL1" in parameters else "MOT_POLE_COUNT"

@@ -82,7 +82,7 @@ _TIMES, _NUMBERS = ("TimeUS", "TimeMS"), ("I", "C", "Inst", "Instance")
 _READ: dict[str, set[str]] = {
     "PARM": {"Name", "Value"}, "ESC": {"RPM", "RawRPM"}, "RPM": {"RPM", "rpm1", "rpm2"},
     "EV": {"Id"}, "ARM": {"ArmState"}, "BAT": {"Volt"}, "CTUN": {"ThO"}, "MOTB": {"BatVolt"},
-    "DSF": {"Dp"}, "MSG": {"Message"},
+    "BARO": {"Press"}, "DSF": {"Dp"}, "MSG": {"Message"},
     "GPS": {"GMS", "GWk"},
     **{f"ESC{number}": {"RPM", "RawRPM"} for number in range(1, 17)},
     **{f"{row.name[:2]}F4": {"PI"} for row in ENTRIES},
@@ -92,8 +92,9 @@ _READ: dict[str, set[str]] = {
 _OF_MOTORS = (
     ("throttle", "CTUN", "ThO"),
     ("share of the full voltage", "MOTB", "BatVolt"),
+    ("pressure", "BARO", "Press"),
 )
-"""Extras by entry and column, as AP_MotorsMulticopter logs them."""
+"""Extras by entry and column, as AP_MotorsMulticopter and AP_Baro (raw) log them."""
 _EKF_2_FIRST = {"XKQ": 2, "NKQ": 1, "XKF1": 2, "NKF1": 1}
 """Ranks where the autopilot flies by EKF 2 (N...) instead of EKF 3 (X...)."""
 
@@ -391,7 +392,7 @@ class _EntryReader:
         recording.add_state(Stream.IN_AIR, flies, end)
 
     def _add_battery(self, recording: Recording) -> None:
-        """Of the first battery, and what the motors' library has of it."""
+        """Of the first battery, what the motors' library has of it, and the first barometer."""
         volts = self._named("BAT", ("Volt",))
         if volts is not None:
             rows = self._primary_instance("BAT")
@@ -399,7 +400,8 @@ class _EntryReader:
         for extra, name, column in _OF_MOTORS:
             values = self._named(name, (column,))
             if values is not None:
-                recording.extras[extra] = self._times(name), values
+                rows = self._primary_instance(name)
+                recording.extras[extra] = self._times(name)[rows], values[rows]
 
     def _primary_instance(self, name: str) -> Mask:
         """(n,) the entries of the first instance, under any of the names that number had."""

@@ -27,8 +27,9 @@ from gcs_sysid.telemetry.ulog_format import Topic, TopicLog, UlogFile
 
 _ARMED = 2
 """vehicle_status.arming_state."""
-_MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY = (
-    "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status", "battery_status"
+_MOTORS, _ESCS, _LANDED, _STATUS, _BATTERY, _AIR = (
+    "actuator_motors", "esc_status", "vehicle_land_detected", "vehicle_status", "battery_status",
+    "vehicle_air_data",
 )  # fmt: skip
 
 
@@ -66,6 +67,7 @@ _FIELDS = {
     _ESCS: {"esc_count", "esc_rpm", "esc_current", "actuator_function"},
     _LANDED: {"landed"},
     _BATTERY: {"voltage_v"},
+    _AIR: {"baro_pressure_pa"},
     **{name: {"time_utc_usec"} for name in _GPS},
     **{row.name: {*_names_in(row.fields)} for row in TOPICS},
     **{name: {*_names_in(fields)} for name, fields in _OFFSETS.items()},
@@ -169,6 +171,8 @@ def _add_topic(
         recording.add_voltage(t, _columns(topic, "voltage_v"))
     elif name in _GPS and not (name == _GPS[1] and len(recording.clock[0])):
         recording.add_clock(t, topic["time_utc_usec"] * 1e-6, topic["time_utc_usec"] > 0)
+    elif name == _AIR:
+        recording.extras["pressure"] = t, _columns(topic, "baro_pressure_pa")
     elif name == _LANDED:
         recording.add(Stream.IN_AIR, t, topic["landed"] == 0)
 
