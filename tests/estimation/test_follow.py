@@ -55,12 +55,11 @@ def assert_same(fits, others):
             assert a.rotation.whiteners == b.rotation.whiteners, k
             difference = np.abs(a.rotation.unknowns - b.rotation.unknowns)
             std = np.sqrt(np.diag(b.rotation.full_covariance))
-            # Sums in another order, which differs between processors. A search stops where it can
-            # gain less than 1e-4 of the likelihood: 0.01 deviations.
-            assert np.all(difference <= 1e-3 * std), (k, difference, std)
-            # What a second hardly shows has a covariance that is all but singular.
-            near = 1e-4 if a.seconds > 1.2 else 1e-3
-            assert a.rotation.std == pytest.approx(b.rotation.std, rel=near)
+            # Sums in another order, which differs between processors. A search stops where steps
+            # are shorter than 3e-4 deviations, or some steps after a leap, on its way.
+            near = 1e-3 if b.rotation.converged else 2e-3
+            assert np.all(difference <= near * std), (k, difference, std)
+            assert a.rotation.std == pytest.approx(b.rotation.std, rel=3e-4)
         assert (a.translation is None) == (b.translation is None), k
         if a.translation is not None:
             assert a.translation.source == b.translation.source

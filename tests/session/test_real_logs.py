@@ -91,18 +91,21 @@ def test_a_simulator_without_gyroscopic_torque_is_no_rigid_body():
 
 @pytest.mark.thorough
 def test_a_filtered_gyro_of_a_real_quad_on_commands_tells_its_inertia():
-    """A Crazyflie; 1.66e-5 kg m^2 in the literature, 1.47e-5 by plain least squares."""
+    """A Crazyflie; 1.66e-5 kg m^2 in the literature, 1.47e-5 by plain least squares.
+
+    In disturbed air the thrust curve is as uncertain as before the flight, and inertia with it.
+    """
     log = LOGS / "real" / "crazyflie_log15.tlog"
     result = analyze_log(log, load_airframe(str(LOGS / "real" / "crazyflie.toml")))
     for name in ("Ixx", "Iyy"):
-        low, high = result.parameters[name].ci95
-        assert 1.05e-5 < low < 1.5e-5 < high < 1.95e-5, name
+        assert result.parameters[name].value == pytest.approx(1.6e-5, rel=0.15), name
+        assert result.parameters[name].status == "weak", name
     for axis in ("roll", "pitch"):
         assert result.validation["r_squared"][axis] > 0.95
     lag, late = result.timing["motor_lag"], result.timing["rotor_delay"]
     # The gyro is late by what its sensor filters; least squares put all in the lag.
     assert lag.value - late.value == pytest.approx(0.07, abs=0.015)
-    assert result.parameters["Izz"].status == "unobservable"
+    assert result.parameters["Izz"].status in ("weak", "unobservable")
 
 
 def test_slow_logs_are_refused_with_reasons():
