@@ -281,6 +281,9 @@ def test_pressure_for_thrust_is_set_where_climbs_show_it(tmp_path, seed, full):
     assert thrust_pressure(streams, windows, c) is None
     streams = replace(streams, extras={"pressure": tuple(read)})
     assert thrust_pressure(streams, windows.part(windows.t < 8.0), c) is None
+    for stuck in (0.0, 95000.0):
+        lost = replace(streams, extras={"pressure": (read[0], 0.0 * read[1] + stuck)})
+        assert thrust_pressure(lost, windows, c) is None
     found, hover = thrust_pressure(streams, windows, c), Quantity(0.4, 0.01, "1")
     assert abs(found.full.value - full) < found.full.half < 25.0
     for autopilot, name, unit in (

@@ -21,6 +21,7 @@ from gcs_sysid.health.log_streams import Streams
 from gcs_sysid.model.estimate import Quantity
 from gcs_sysid.model.parameters import GRAVITY
 from gcs_sysid.signals.records import Stream
+from gcs_sysid.significance import normal_limit
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,10 @@ def thrust_pressure(streams: Streams, windows: Windows, c: float) -> ThrustPress
     thrust = thrust_of(windows, c).mean(axis=1)
     thrust = extra("throttle") if "throttle" in streams.extras else thrust
     signals = np.column_stack([extra("pressure"), up, thrust])
-    signals[windows.idle | ~gentle_of(windows)] = np.nan
+    of_air = (signals[:, 0] > TUNING.air_pressure[0]) & (signals[:, 0] < TUNING.air_pressure[1])
+    signals[windows.idle | ~gentle_of(windows) | ~of_air] = np.nan
     there = complete_rows(signals)
-    if np.std(signals[there, 2]) < TUNING.least_throttle_motion or np.count_nonzero(there) < 2:
+    if not there.any() or np.std(signals[there, 2]) < TUNING.least_throttle_motion:
         return None
     # Windows lie at multiples of half their width; those on the ground are left out.
     places = np.round(windows.t / windows.half).astype(int)
@@ -80,7 +82,7 @@ def thrust_pressure(streams: Streams, windows: Windows, c: float) -> ThrustPress
 
 
 def _fitted(even: Array, meter: float, half: float, span: float) -> Quantity | None:
-    """Of (n, 3) pressure, vertical acceleration and thrust, half s apart; None: too few."""
+    """Of (n, 3) pressure, vertical acceleration and thrust, half s apart; None: not shown."""
     m = max(round(span / half), 1)
     # Differences are of means: the triangle of these once more, by its second moment.
     weights = np.convolve(m - np.abs(np.arange(1 - m, m)), (1.0, 10.0, 1.0)) / (12.0 * m**2)
@@ -95,4 +97,6 @@ def _fitted(even: Array, meter: float, half: float, span: float) -> Quantity | N
         return None
     prior = np.array([np.inf, np.inf, *TUNING.unknown_pressure])
     fit = robust_fit(columns[rows], (pressure + rising)[rows], ridge=prior, between=half)
+    if abs(fit.value[2]) > normal_limit() * prior[2]:  # it hardly follows the height
+        return None
     return Quantity(float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0])), "Pa")

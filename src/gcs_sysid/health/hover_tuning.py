@@ -86,6 +86,7 @@ class HoverTuning:
         parts_of_flight: that a jackknife leaves out, one after the other.
         worth_drag: 1/s, half of an interval of use of momentum drag: wind of 3 m/s off by
             0.1 m/s^2.
+        air_pressure: Pa, that there may be.
         pressure_spans: s of second differences of pressure: those of the answer, and shorter ones
             that they are compared with.
         unknown_pressure: prior standard deviations of the air's density, relative, and of s that
@@ -190,6 +191,7 @@ class HoverTuning:
     unknown_air: float = 0.1
     drag_rounds: int = 12
     parts_of_flight: int = 10
+    air_pressure: tuple[float, float] = (1e4, 2e5)
     pressure_spans: tuple[float, float] = (2.0, 1.0)
     unknown_pressure: tuple[float, float] = (0.05, 0.3)
     pressure_floor: float = 2.0
