@@ -56,7 +56,7 @@ def flight(rotors, *, moving=1.0, gusts=0.3, seed=1, extra=0, crosstalk=0.0):
     thrust = 1.0 + wanted[:, [0, 1, 2, 3]] @ allocation
     thrust /= thrust.mean()
     x, y, spin = geometry
-    moment = thrust @ np.column_stack([-y, x, 0.1 * spin])
+    moment = 5.0 * thrust @ np.column_stack([-y, x, 0.1 * spin])
     if crosstalk:
         moment[:, 1] = crosstalk * moment[:, 2]
     moment -= moment.mean(axis=0)

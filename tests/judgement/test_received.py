@@ -74,7 +74,7 @@ def test_no_attitude_is_a_note():
         ({"seen": frozenset(), "recorded": 12.0}, "the record lasts 12.0 s"),
         ({"seen": frozenset({Stream.ATTITUDE})}, "no IMU data"),
         ({"seen": frozenset({Stream.IMU})}, "no rotor speeds"),
-        ({"has_rotors": False}, "no rotor speeds and no commands in flight"),
+        ({"has_rotors": False, "flown": 4.0}, "no rotor speeds and no commands in flight"),
         ({"has_rotors": False, "refused": {"RPM": "jumps"}}, "RPM jumps"),
         ({"outdated": True}, "came too late"),
         ({"seen": frozenset({Stream.IMU, Stream.ROTOR_SPEED})}, "never seen in the air"),

@@ -97,7 +97,8 @@ def test_without_attitude_the_accelerometer_gives_the_scale(beginning, begun):
 
 @pytest.mark.slow
 def test_nothing_is_estimated_while_it_does_not_fly(beginning):
-    grounded = [r._replace(values=(0.0,)) if r.stream is Stream.IN_AIR else r for r in beginning]
+    still = (Stream.IN_AIR, Stream.ROTOR_SPEED, Stream.ROTOR_COMMAND)
+    grounded = [r._replace(values=(0.0,) * 4) if r.stream in still else r for r in beginning]
     chain, result = run(grounded)
     assert not chain.sampler.flying
     assert result.verdict == "refused"

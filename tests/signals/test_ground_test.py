@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.signals.flight_detection import GroundTest
 
 G = 9.81
@@ -13,13 +14,13 @@ def stood(effort, force, rate=0.02, *, commands=False, noise=0.1, block=10**6, t
     """Where the ground is found to carry it, from the mean of what thrust grows with."""
     rng = np.random.default_rng(4)
     force = np.abs(force + noise * rng.normal(size=len(T)))
-    rates = np.full(len(T), rate)
+    rates = np.full((len(T), 3), rate)
     empty = np.full(len(T), np.nan)
     thrust = np.column_stack([empty, effort] if commands else [effort, empty])
     test = GroundTest() if test is None else test
     parts = [slice(i, i + block) for i in range(0, len(T), block)]
     every = (T, force, rates, thrust, np.sqrt(effort)[:, None])
-    return np.concatenate([test.update(*(values[k] for values in every)) for k in parts])
+    return np.concatenate([test.update(*(values[k] for values in every)) for k in parts]) < 0.0
 
 
 def maneuvers(share=0.05):
@@ -58,7 +59,7 @@ def test_constant_thrust_and_missing_streams_say_nothing():
     for noise in (0.0, 0.1, 1.0):
         assert not stood(np.full(len(T), 4e5), G + 0.0 * T, noise=noise).any()
     empty = np.full((len(T), 2), np.nan)
-    assert not GroundTest().update(T, *empty.T, empty, empty).any()
+    assert not GroundTest().update(T, empty[:, 0], np.full((len(T), 3), np.nan), empty, empty).any()
 
 
 def test_a_take_off_is_seen_within_two_seconds():
@@ -76,3 +77,13 @@ def test_a_take_off_is_seen_within_two_seconds():
 def test_what_falls_climbs_or_turns_stands_on_nothing(force, rate):
     steps = 1e5 * (2.0 + np.sin(0.8 * T))
     assert not stood(steps, force + 0.0 * T, rate).any()
+
+
+@pytest.mark.parametrize(("answers", "stands"), [(0.1, True), (2.0, False)])
+def test_what_does_not_turn_as_its_rotors_differ_stands_at_constant_thrust(answers, stands):
+    geometry = load_airframe("px4-quad-x").geometry
+    speeds = 1.0 + 0.05 * np.sin(4.0 * T)[:, None] * np.sign(geometry[1])
+    rates = np.outer(answers * G * 0.1 * np.cos(4.0 * T) / 4.0, [1.0, 0.0, 0.0])
+    thrust = np.column_stack([np.full(len(T), 4e5), np.full(len(T), np.nan)])
+    found = GroundTest(geometry).update(T, G + 0.0 * T, rates, thrust, speeds) < 0.0
+    assert found[T > 3.0].all() if stands else not found.any()

@@ -208,7 +208,7 @@ def _missing(received: Received, anchor: ScaleKind) -> _Reasons:
         )
         return ((none, "request them from the autopilot"),)
     if received.searched and not received.has_rotors:
-        return _no_input(received.refused, anchor)
+        return _no_input(received, anchor)
     if received.outdated:
         late = "the autopilot's parameters came too late to set filters and ranges"
         return ((late, "analyze the recording"),)
@@ -251,11 +251,12 @@ def _unexplained(fit: Fit, *, cut: bool, still: bool) -> _Reasons:
     return ((what, f"check the motor order and each rotor's readings; if right, {harder}"),)
 
 
-def _no_input(refused: Mapping[str, str], anchor: ScaleKind) -> _Reasons:
+def _no_input(received: Received, anchor: ScaleKind) -> _Reasons:
     """Why no rotor stream can be used."""
-    if not refused:
-        return (("no rotor speeds and no commands in flight", ""),)
-    reasons = tuple((f"{name} {why}", "") for name, why in refused.items())
+    if not received.refused:
+        none = "no rotor speeds and no commands in flight"
+        return ((none if received.flown else "never seen in the air", ""),)
+    reasons = tuple((f"{name} {why}", "") for name, why in received.refused.items())
     if anchor == "k_T":
         scale = "without rotor speeds k_T cannot set the scale"
         return (*reasons, (scale, "give --mass or --t-max"))

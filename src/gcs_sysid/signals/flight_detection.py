@@ -16,9 +16,18 @@ the thrust curve of commands adds. On the ground |f| is 1 g whatever the rotors 
 adds up the log-likelihood ratio of the two (Wald 1945), with a the most likely within bounds, and v
 as large as the better of the two leaves it.
 
+Nor does what stands turn as its rotors would have it. In the air the shares s of a frame's rotors
+in roll and pitch turn it by |f| s l / (r^2 sqrt(2 n)), with arm l and radius of gyration r, so that
+its angular acceleration is as large as a |f| ds, with ds the change of s from window to window. In
+flights a was 1 to 30 per m, with feet on the ground or a bench 0.4 and less. That is a ratio of
+likelihoods likewise, and one that only counts against flight: gusts turn what stands, and hands.
+
 It needs no report, no height and no known vehicle, and says nothing while thrust is constant. What
 turns fast or reads far from 1 g stands on nothing, whatever thrust does. Rotors that are read wrong
 make a change of u where they change unlike each other: only what is beyond that counts.
+
+What is reported is one witness. What is said to fly and has risen flies; what was never said to be
+in the air, or to be armed, flies when its rotors carry it, off the ground where heights are known.
 """
 
 import math
@@ -26,7 +35,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, Mask, runs
+from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.recursions import lfilter
 from gcs_sysid.signals.rotor_readings import APART
 
@@ -42,7 +51,8 @@ class GroundRules:
         least_noise: of log |f|: what an accelerometer leaves of a mean over a window.
         step: nats that one window may add: a shock is one like others.
         one_g: m/s^2, between which the mean force of what stands lies.
-        turns: rad/s, mean rate from which nothing stands.
+        turns: rad/s, mean rate from which nothing stands, nor lies on its back.
+        answers: 1/m, of the rotors' shares: at most on the ground, at least in the air.
     """
 
     window: float = 0.2
@@ -52,11 +62,13 @@ class GroundRules:
     step: float = 2.0
     one_g: tuple[float, float] = (6.5, 13.5)
     turns: float = 1.0
+    answers: tuple[float, float] = (0.2, 0.6)
 
 
 _GROUND = GroundRules()
 _ODDS = math.log(1000.0)
 """Nats from which it stands; until half of them are lost again."""
+_KEPT = math.exp(-_GROUND.window / _GROUND.memory)
 _MOST = np.array([0.3, 0.2, 0.2])
 """Of the changes of log |f| and log u that count: a shock is one window like others."""
 
@@ -64,51 +76,71 @@ _MOST = np.array([0.3, 0.2, 0.2])
 class GroundTest:
     """Takes samples block by block; how they are grouped does not matter.
 
+    Args:
+        geometry: (2 or more, rotors) x and y of each rotor, in any unit; None: not known, and
+            what they turn is not looked at.
+
     Attributes:
         stood: s from and until which it stood, as turned out at the end of each: what stands and
             was never shown to fly has stood all the while.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, geometry: Array | None = None) -> None:
         self.stood: list[tuple[float, float]] = []
+        self._levers = None if geometry is None else np.linalg.qr(geometry[:2].T)[0]
         self._flew = -math.inf
         self._number = -1
         self._sums = np.zeros((2, 0))
-        self._before = np.zeros(0)
-        # Of squared speeds and of commands.
-        self._nats = np.zeros(2)
+        self._before = self._shares = np.zeros(0)
+        self._rates = np.full(2, np.nan)
+        self._lowest = np.nan
+        # By squared speeds, by commands, and by what the rotors turn.
+        self._nats = np.zeros(3)
         self._power = np.full((2, 2), 1e-4)
-        self._stand = np.zeros(2, dtype=bool)
-        self._stands = False
+        self._stand = np.zeros(3, dtype=bool)
+        self._carrier = 0.0
 
-    def update(self, t: Array, force: Array, rates: Array, thrust: Array, speeds: Array) -> Mask:
+    def update(
+        self,
+        t: Array,
+        force: Array,
+        rates: Array,
+        thrust: Array,
+        speeds: Array,
+        reported: Array | None = None,
+    ) -> Array:
         """Take a block.
 
         Args:
             t: (n,) s.
             force: (n,) m/s^2, norm of the specific force; NaN: not measured.
-            rates: (n,) rad/s, norm of the body rates.
+            rates: (n, 3) rad/s.
             thrust: (n, 2) as of `FlightDetector.update`.
             speeds: (n, rotors) likewise.
+            reported: (n, 2) whether it is said to fly, and down in m; NaN: not reported.
 
         Returns:
-            (n,) whether the ground carries it, by the windows before each sample.
+            (n,) who carries it, by the windows before each sample: -1 the ground, 1 its rotors,
+            0 not known.
         """
-        values = np.column_stack([rates, force, thrust, speeds])
+        reported = np.full((len(t), 2), np.nan) if reported is None else reported
+        norms = np.linalg.norm(rates, axis=1)
+        values = np.column_stack([reported, rates[:, :2], norms, force, thrust, speeds])
         numbers = np.floor(t / _GROUND.window).astype(np.int64)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         known = np.isfinite(values)
         if self._sums.shape[1] != values.shape[1]:
-            self._sums, self._before = np.zeros((2, values.shape[1])), np.array([np.nan])
+            self._sums = np.zeros((2, values.shape[1]))
+            self._before = self._shares = np.array([np.nan])
         sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
         counts = np.add.reduceat(known, starts, axis=0)
-        out = np.empty(len(t), bool)
+        out = np.empty(len(t))
         for k, start in enumerate(starts):
             if numbers[start] != self._number:
                 self._close()
                 self._number = int(numbers[start])
             self._sums += np.stack([sums[k], counts[k]])
-            out[start : starts[k + 1] if k + 1 < len(starts) else None] = self._stands
+            out[start : starts[k + 1] if k + 1 < len(starts) else None] = self._carrier
         return out
 
     def _close(self) -> None:
@@ -116,10 +148,15 @@ class GroundTest:
         total, count = self._sums
         mean = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
         self._sums = np.zeros_like(self._sums)
-        shown = mean[1:]  # force, squared speeds, commands, each rotor
+        said, down, *rates, turns, force = mean[:6]
+        end = (self._number + 1) * _GROUND.window
+        self._lowest = np.fmax(down, self._lowest)
+        climbed = said > 0.5 and self._lowest - down > RULES.risen
+        shown = mean[5:]  # force, squared speeds, commands, each rotor
         logs = np.log(shown, out=np.full(len(shown), np.nan), where=shown > 0.0)
         changes = logs - self._before
         self._before = logs
+        answered = self._answered(np.array(rates), mean[8:], force)
         if not math.isfinite(changes[0]):
             return
         # As far as rotors change unlike each other, some that read wrong look like thrust.
@@ -129,32 +166,50 @@ class GroundTest:
         known = np.isfinite(both)
         if not known.any():
             return
+        gains = np.array([0.0, 0.0, answered])
         for i in np.flatnonzero(known).tolist():
-            self._nats[i] = self._judged(i, y, both[i], mean)
-        least = np.where(self._stand, -0.5, -1.0) * _ODDS
-        self._stand = self._nats <= least
+            gains[i] = self._followed(i, y, both[i])
+        self._nats[2] *= _KEPT
+        self._nats += gains.clip(-_GROUND.step, _GROUND.step)
+        if climbed or not _GROUND.one_g[0] < force < _GROUND.one_g[1] or turns > _GROUND.turns:
+            self._nats = np.maximum(self._nats, 0.0)
+        self._nats = self._nats.clip(-_ODDS, [_ODDS, _ODDS, 0.0])
+        together = self._nats + np.array([1.0, 1.0, 0.0]) * self._nats[2]
+        self._stand = together <= np.where(self._stand, -0.5, -1.0) * _ODDS
+        together = together[:2][known]
         # A rotor that is read wrong hides what the force follows, but not from the commands.
-        stands = bool(self._stand[known.argmax()] and not (self._nats[known] > 0.0).any())
-        end = (self._number + 1) * _GROUND.window
-        if (self._nats[known] > 0.5 * _ODDS).any():
-            self._flew = end
-        if stands and not self._stands:
+        stands = self._stand[known.argmax()] and not (self._nats[:2][known] > 0.0).any()
+        stands |= self._stand[2] and together.max() < 0.0
+        if climbed or together.max() > 0.5 * _ODDS:
+            self._flew, self._lowest = end, down
+        if stands and self._carrier >= 0.0:
             self.stood.append((self._flew, end))
-        self._stands = stands
+        flies = together.max() >= (0.5 if self._carrier > 0.0 else 1.0) * _ODDS
+        self._carrier = -1.0 if stands else float(flies)
 
-    def _judged(self, i: int, y: float, x: float, mean: Array) -> float:
-        """Nats of a stream after a window in which log |f| changed by y, and log u by x."""
+    def _followed(self, i: int, y: float, x: float) -> float:
+        """Nats of a window in which log |f| changed by y, and log u of a stream by x."""
         slope = min(max(y / x, _GROUND.slopes[0]), _GROUND.slopes[1]) if x else 0.0
         squares = np.array([y * y, (y - slope * x) ** 2])
-        keep = math.exp(-_GROUND.window / _GROUND.memory)
-        self._power[i] = keep * self._power[i] + (1.0 - keep) * squares
+        self._power[i] = _KEPT * self._power[i] + (1.0 - _KEPT) * squares
         # Twice: differences of means that follow each other are correlated by -1/2.
         variance = 2.0 * max(float(self._power[i].min()), _GROUND.least_noise**2)
-        gain = float(squares[0] - squares[1]) / (2.0 * variance)
-        nats = float(self._nats[i]) + min(max(gain, -_GROUND.step), _GROUND.step)
-        if not (_GROUND.one_g[0] < mean[1] < _GROUND.one_g[1]) or mean[0] > _GROUND.turns:
-            nats = max(nats, 0.0)
-        return min(max(nats, -_ODDS), _ODDS)
+        return float(squares[0] - squares[1]) / (2.0 * variance)
+
+    def _answered(self, rates: Array, speeds: Array, force: float) -> float:
+        """Nats of a window's (2,) rates, against what (rotors,) speeds turn in the air."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shares = speeds / speeds.mean()
+        turned, self._rates = (rates - self._rates) / _GROUND.window, rates
+        changes, self._shares = shares - self._shares, shares
+        if self._levers is None:
+            return 0.0
+        asked = force * changes @ self._levers
+        x, y = float(asked @ asked), float(turned @ turned)
+        if not math.isfinite(x + y):
+            return 0.0
+        ground, air = (a * a * x + (_GROUND.least_noise * _G) ** 2 for a in _GROUND.answers)
+        return math.log(ground / air) + y * (1.0 / ground - 1.0 / air)
 
 
 TAKE_OFF = 1.0
@@ -168,8 +223,8 @@ class FlightRules:
     Attributes:
         height: m above the ground, from which a vehicle that does not report its state counts as
             flying.
-        risen: m above where rotors and force had it stand, from which a vehicle that reports flight
-            flies: on the ground heights drifted by 0.7 m in seconds, and by 1.5 m in minutes.
+        risen: m above where it was not known to fly, from which a vehicle that reports flight
+            does: on the ground heights drifted by 0.7 m in seconds, and by 1.5 m in minutes.
         rest, rest_for: m/s^2 from 1 g and rad/s within which it rests, and s of it. Idling rotors
             shake it by 0.7 m/s^2 (LOG00259 of indiflightSupport); hovering it leaves these bounds
             several times in that time.
@@ -179,7 +234,6 @@ class FlightRules:
             several times, and the ground is known.
         fall, fall_for: m/s^2 below which it falls, and s of it.
         one_g: m/s^2 that an accelerometer must have read before it may indicate a fall.
-        lies: rad/s, mean rate up to which it may lie on its back.
         least_force: m/s^2 from which force over thrust is taken, and which nothing in the air has
             the wrong way round.
         forgets: s in which the least ratio grows by e: a payload, or a spike that was taken for
@@ -198,7 +252,6 @@ class FlightRules:
     fall: float = 4.0
     fall_for: float = 0.1
     one_g: tuple[float, float] = (7.0, 13.0)
-    lies: float = 1.0
     least_force: float = 5.0
     forgets: float = 60.0
     smooth: float = 0.1
@@ -219,12 +272,15 @@ square in the command."""
 class FlightDetector:
     """Marks flight on the grid, block by block; how samples are grouped does not matter.
 
+    Args:
+        geometry: as of `GroundTest`.
+
     Attributes:
         left_ground: s from which a flight counts -> s at which it left the ground.
         ground_test: who carries it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, geometry: Array | None = None) -> None:
         self.left_ground: dict[float, float] = {}
         self._counted = False
         self._t = np.nan
@@ -235,14 +291,16 @@ class FlightDetector:
         self._speeds: Array | None = None
         self._unfallen_at = self._fell_at = self._upright_at = -np.inf
         self._placed_at = -np.inf
-        self._ground = self._down = self._lowest = np.nan
+        self._ground = self._down = np.nan
         self._began: float | None = None
         self._smooth = np.full(4, np.nan)
         self._log_least = np.full(2, np.inf)
         self._sensed = self._stood = self._moved = False
         self._weighed = self._weighed_upright = False
+        self._said = np.zeros((1, 2), bool)
+        """Whether it was ever said to be in the air; armed."""
         self._still: tuple[float, float, Array] | None = None
-        self.ground_test = GroundTest()
+        self.ground_test = GroundTest(geometry)
 
     @property
     def first_left(self) -> float:
@@ -280,7 +338,8 @@ class FlightDetector:
         unknown = np.full((len(t), 3), np.nan)
         along = unknown[:, 2] if force is None else force[:, 2]
         force = np.linalg.norm(unknown if force is None else force, axis=1)
-        rates = np.linalg.norm(unknown if rates is None else rates, axis=1)
+        turning = unknown if rates is None else rates
+        rates = np.linalg.norm(turning, axis=1)
         thrust = unknown[:, :2] if thrust is None else thrust
         zero = (speeds == 0.0).all(axis=1)
         turn = (speeds > 0.0).all(axis=1)
@@ -300,7 +359,7 @@ class FlightDetector:
             lies = (
                 (smooth[:, 0] > RULES.one_g[0])
                 & (smooth[:, 0] < RULES.one_g[1])
-                & (smooth[:, 1] < RULES.lies)
+                & (smooth[:, 1] < _GROUND.turns)
             )
             overturned = sensed & (along > RULES.least_force) & lies
         rests = self._since(t, restless | ~zero, "_restless_at") >= RULES.rest_for
@@ -310,22 +369,17 @@ class FlightDetector:
         # An IMU that is mounted or read upside down has never shown its weight the right way.
         overturned = self._since(t, ~overturned, "_upright_at") >= RULES.rest_for
         overturned &= self._once_weighed(-along, "_weighed_upright")
-        # A report of disarmed, of a vehicle that reports flight with all rotors turning, is another
-        # sender's; but outputs that nothing changes turn no rotors.
+        # Outputs that nothing changes turn no rotors: what is disarmed then stands.
         first = speeds[:1] if self._speeds is None else self._speeds
         before, self._speeds = np.vstack([first, speeds[:-1]]), speeds[-1:].copy()
         with np.errstate(invalid="ignore"):
             changes = (np.abs(speeds - before) > RULES.same * speeds).any(axis=1)
-        driven = self._since(t, changes, "_driven_at") < RULES.silent_for
-        disarmed = (armed < 0.5) & ~(turn & driven & (in_air > 0.5))
+        driven = turn & (self._since(t, changes, "_driven_at") < RULES.silent_for)
         down = self._lately(t, position[:, 2])
-        carried_by_ground = self.ground_test.update(t, force, rates, thrust, speeds)
-        with np.errstate(invalid="ignore"):
-            carried_by_ground &= ~(
-                (in_air > 0.5) & (self._risen(carried_by_ground, down) > RULES.risen)
-            )
-        stands = disarmed | (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
-        stands |= carried_by_ground
+        said = np.column_stack([in_air, down])
+        carrier = self.ground_test.update(t, force, turning, thrust, speeds, said)
+        stands = (zero & (rests | ~had_imu)) | (idles & had_imu) | overturned
+        stands |= ((armed < 0.5) & ~driven) | (carrier < 0.0)
         stood = np.logical_or.accumulate(np.append(self._stood, stands | zero))[1:]
         self._note_beginning(t, smooth, had_imu & ~stood, down, ratio)
         ground, stood_at = self._grounds(t, np.where(stands, position[:, 2], np.nan), least)
@@ -333,10 +387,16 @@ class FlightDetector:
         low = ground - down < RULES.height
         received: Mask = np.logical_or.reduce(np.isfinite(speeds), axis=1)
         silent = self._since(t, received, "_rotors_at") >= RULES.silent_for
-        reported = np.isfinite(in_air)
+        # Who never said yes is not believed against rotors that carry it.
+        reports = np.column_stack([in_air, armed])
+        yes = np.logical_or.accumulate(np.vstack([self._said, reports > 0.5]))[1:]
+        self._said = yes[-1:]
+        denied = (yes & (reports < 0.5)).any(axis=1)
+        flown = (in_air > 0.5) | (driven & (carrier > 0.0) & ~low & ~denied)
+        reported = np.isfinite(in_air) | (armed < 0.5)
         change = np.select(
             [stands, reported, falls, low | silent, turn],
-            [-1.0, np.where(in_air > 0.5, 1.0, -1.0), 1.0, -1.0, 1.0],
+            [-1.0, np.where(flown, 1.0, -1.0), 1.0, -1.0, 1.0],
             0.0,
         )
         state = _held(np.where(change == 0.0, np.nan, change), self._state)
@@ -415,15 +475,6 @@ class FlightDetector:
         self._down = float(held[-1])
         age = self._since(t, np.isfinite(down), "_placed_at")
         return np.where(age < RULES.placed_for, held, np.nan)
-
-    def _risen(self, stands: Mask, down: Array) -> Array:
-        """(n,) m above the lowest place since it stands without a break."""
-        lowest = np.full(len(down), np.nan)
-        for run, still in runs(stands):
-            before = np.append(self._lowest, down[run])
-            lowest[run] = np.fmax.accumulate(before)[1:] if still else np.nan
-            self._lowest = lowest[run][-1]
-        return lowest - down
 
     def _note_beginning(
         self, t: Array, smooth: Array, judged: Mask, down: Array, ratio: Array

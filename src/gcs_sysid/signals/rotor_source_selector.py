@@ -212,7 +212,7 @@ class RotorSourceSelector:
         self._standing: set[tuple[int, float]] = set()
         self._misread: dict[str, str] = {}
         self._found_dead: dict[str, set[tuple[int, float]]] = {}
-        self._airframe = airframe
+        self.airframe = airframe
         self._order: MotorOrder | None = None
         self.anchor = anchor
         self._restart()
@@ -234,7 +234,7 @@ class RotorSourceSelector:
     @property
     def _known_order(self) -> MotorOrder:
         if self._order is None:
-            count = len(self._airframe.rotors)
+            count = len(self.airframe.rotors)
             self._order = MotorOrder.of(self._autopilot, self.parameters, count)
         return self._order
 
@@ -249,7 +249,7 @@ class RotorSourceSelector:
         for track in tracks:
             if track.stream in ROTOR_STREAMS and len(track.t):
                 name = family(track.source)
-                stretch = Stretch(track.stream, len(self._airframe.rotors))
+                stretch = Stretch(track.stream, len(self.airframe.rotors))
                 self._stretches.setdefault(name, stretch).extend(track)
                 self.repeats.setdefault(name, Repeats()).extend(track)
 
@@ -267,14 +267,14 @@ class RotorSourceSelector:
         """The range of commands by the parameters that there are now."""
         if source.range is None:
             return None
-        command, seen = self._airframe.command, (source.range.low, source.range.high)
+        command, seen = self.airframe.command, (source.range.low, source.range.high)
         found = command_range(source.name, command, self.autopilot, self.parameters, seen)
         return source.range if isinstance(found, str) else found
 
     def doubt(self, source: RotorSource, *, seen: bool = False) -> UnitDoubt:
         """What the unit of a source is still in doubt by, as of `unit_doubt`."""
         range_ = self._range_now(source)
-        return unit_doubt(source.name, range_, self.parameters, self._airframe, seen=seen)
+        return unit_doubt(source.name, range_, self.parameters, self.airframe, seen=seen)
 
     def gap(self) -> None:
         """The clock or the stream restarted: so does the stretch."""
@@ -408,7 +408,7 @@ class RotorSourceSelector:
     def _choose(
         self, stretches: Mapping[str, Stretch], refused: dict[str, str]
     ) -> RotorSource | None:
-        wanted = self._airframe.wanted_input
+        wanted = self.airframe.wanted_input
         if wanted is None and self.anchor is not None:
             wanted = RotorInput.scaled_by(self.anchor.kind)
         commands = self._ranked(stretches, Stream.ROTOR_COMMAND)
@@ -424,14 +424,14 @@ class RotorSourceSelector:
                 refused[name] = odd.words
                 continue
             measured = stretch.together
-            if not commands and (odd := unbalanced_reading(measured, self._airframe.geometry)):
+            if not commands and (odd := unbalanced_reading(measured, self.airframe.geometry)):
                 self._misread[name] = odd.words
             if name in self._misread:  # a pole count is the same all the time
                 refused[name] = self._misread[name]
                 continue
             why, anchor = RotorInput.SPEED.words, self.anchor
             mass = None if anchor is None or anchor.kind != "mass" else anchor.value
-            scale = speed_scale(name, stretch.values, self._airframe, mass, self.parameters)
+            scale = speed_scale(name, stretch.values, self.airframe, mass, self.parameters)
             if scale == RADIANS:
                 why += ", read as rad/s in an rpm field, by the thrust needed"
             return RotorSource(
@@ -497,7 +497,7 @@ class RotorSourceSelector:
         return sorted(rates, key=rank)
 
     def _range(self, name: str, stretch: Stretch) -> Range | str:
-        command, seen = self._airframe.command, seen_of(stretch.values)
+        command, seen = self.airframe.command, seen_of(stretch.values)
         return command_range(name, command, self.autopilot, self.parameters, seen)
 
     def _copies(self, speeds: Stretch, commands: Stretch) -> bool:
@@ -507,7 +507,7 @@ class RotorSourceSelector:
 
     def _odd(self, speeds: Stretch, commands: Stretch) -> OddReading | None:
         """The rotor whose speed is not that of the others at its command."""
-        return odd_reading(speeds.together, commands.together, self._airframe.geometry[2])
+        return odd_reading(speeds.together, commands.together, self.airframe.geometry[2])
 
     def _unlike(
         self, measured: Array, stretches: Mapping[str, Stretch], commands: Sequence[str]

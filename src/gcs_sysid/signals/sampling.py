@@ -142,7 +142,7 @@ class Sampler:
         self._rotors = rotors
         self._held: list[_Held] = []
         self._start, self._end = start, end
-        self.flight_detector = FlightDetector()
+        self.flight_detector = FlightDetector(rotor_selector.airframe.geometry)
         self._digital: set[str] = set()
         self._turned: dict[str, bool] = {}
         """Whether any rotor turned, by each rotor stream."""
