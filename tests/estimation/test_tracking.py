@@ -157,3 +157,8 @@ def test_a_change_takes_the_third_of_a_second_before_it_along(truth, flight):
     # Rows are 25 ms apart, and the first ends 0.31 s from the start: window, and room for delays.
     newest = 0.31 + segment.fit.seconds - 0.025
     assert at - 0.3 - 0.1 < newest <= at - 0.3
+    # Landing at once shows that it was contact.
+    tracker.update(np.array([now]), samples.part(slice(0, 1)), np.array([False]))
+    (event,) = tracker.events
+    assert (event.cause.disturbance, event.decided, tracker.segments) == ("contact", None, [])
+    assert tracker.start == 0.0

@@ -493,6 +493,9 @@ class Chain:
             self.fit = point.fit
             values = self.values(point.fit, self.anchors[point.segment])
             self._history.append(float(block.t[stop - 1]), values)
+        if len(self.anchors) > len(tracker.segments) + 1:  # a change was taken back
+            del self.anchors[len(tracker.segments) + 1 :]
+            self.fit = tracker.fit(quick=True)
         self.renewals += len(points)
 
     def _stops(self, t: Array) -> list[int]:
@@ -611,6 +614,7 @@ class Chain:
         for event in tracker.events[max(reported - tracker.forgotten, 0) :]:
             self.log.note(t, summary.note_of(event, self.rotor_input))
             if event.segment is not None:
+                del self.anchors[event.segment + 1 :]
                 self._go_on_after(tracker.segments[event.segment])
                 self.fit = tracker.fit(quick=True)
                 if len(tracker.segments) == TRACKING.most_segments:

@@ -49,7 +49,8 @@ class TrackingTuning:
         stay: s without flight that separate two flights: two on the ground and one of takeoff. Less
             is a hop, or a state reported wrongly.
         away: s of silence in which the vehicle may have landed and been changed.
-        touchdown: s before a reported landing that are left out: autopilots report it late.
+        touchdown: s before a reported landing that are left out: autopilots report it late. What
+            was decided in them was contact.
         same: s within which a disturbance is reported once.
         most_segments: kept. Who changes more often is no vehicle; changes are looked for no more
             then.
@@ -169,6 +170,8 @@ class Tracker:
         self._watch = self._new_watch()
         self._trial: Trial | None = None
         self._landed: float | None = None
+        self._before: tuple[TrackingEvent, float, OnlineEstimator, list[Samples]] | None = None
+        """The latest change, the segment's start, and what was estimated and kept until then."""
         self._rebooted = False
         self._newest = -np.inf
 
@@ -264,6 +267,8 @@ class Tracker:
     def _touch_down(self) -> None:
         """Leave out how the flight ended, and what looked like a change there."""
         self._leave_undecided()
+        if self._before is not None:
+            self._take_back(*self._before)
         self._break()
         if self._watch is not None:
             self._watch.land()
@@ -272,6 +277,21 @@ class Tracker:
         self._forget_last(TRACKING.touchdown)
         if self.kept:
             self.kept.append(self.kept[-1].gap)
+
+    def _take_back(
+        self, event: TrackingEvent, start: float, estimator: OnlineEstimator, kept: list[Samples]
+    ) -> None:
+        """Go on from before a change that landing followed at once: it was contact."""
+        self._before = None
+        if event.decided is None or self._newest - event.decided >= TRACKING.touchdown:
+            return
+        self.start, self._estimator, self.kept, self.stopped = start, estimator, kept, False
+        self.events.remove(event)
+        self.forgotten += 1
+        if event.segment is not None:
+            self.segments.pop()
+        cause = Cause("passing", disturbance="contact")
+        self._add(replace(event, cause=cause, segment=None, decided=None))
 
     def _forget_last(self, seconds: float) -> None:
         """Leave out the last seconds, of the record and of the samples kept."""
@@ -428,11 +448,13 @@ class Tracker:
         event = TrackingEvent(onset, alarm.detected, alarm.channel, found.cause, None, decided=now)
         self._forget_last(now - onset + TRACKING.contaminated)
         before = self.fit()
-        if found.cause.kind == "rotor_failure":
+        fails = found.cause.kind == "rotor_failure"
+        event = replace(event, segment=None if fails else len(self.segments))
+        self._before = event, self.start, self._estimator, self.kept
+        if fails:
             self.stopped = True
             self._add(event)
             return
-        event = replace(event, segment=len(self.segments))
         ratio = found.cause.mass_ratio, found.cause.mass_std
         self.segments.append(Segment(self.start, onset, before, ratio))
         fresh = self._fresh(_after_change(before, self.geometry), before, landed=False)
