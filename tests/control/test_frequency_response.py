@@ -29,6 +29,7 @@ from gcs_sysid.control.rate_loops import read_loop
 from gcs_sysid.control.tuning_study import (
     Change,
     answers,
+    filter_objections,
     late_objections,
     parted_answers,
     propose,
@@ -234,6 +235,12 @@ def test_an_emulated_flight_shows_its_vehicle_and_phase_margin_and_objects_to_an
         assert len(late) == bool(expected)
         faster = "filters act that are faster" in late[0].reason if late else False
         assert faster is (expected == "earlier")
+        said = filter_objections(given, measured_axes(signals, both[0], given))
+        assert [0.6 < o.evidence["cutoff"] / loop.gyro_cutoff < 1.7 for o in said] == (
+            [] if loop.logs_raw_gyro else [True]
+        )
+    heavy = measured_axes(signals, both[1], loop)
+    assert not filter_objections(loop, heavy)
 
 
 class Logged:

@@ -90,6 +90,7 @@ class DesignLimits:
         step: largest change of a gain at once.
         unmodeled: share of the response that the model may lack: the 7 deg, in rad, by which
             `phase_margin` is above the requirement. 2 dB of gain are more.
+        low_passes: Hz, cutoffs of the gyro's that are tried where its own may be another.
     """
 
     phase_margin: float = 52.0
@@ -110,6 +111,7 @@ class DesignLimits:
     payload: float = 0.2
     step: float = 2.0
     unmodeled: float = 0.12
+    low_passes: tuple[float, float, int] = (3.0, 300.0, 25)
 
 
 LIMITS = DesignLimits()
@@ -222,6 +224,35 @@ def late_objections(
             f"crossover on {AXES[axis]}, {fast[axis]:.0f} rad/s{likely}",
             evidence={AXES[axis]: late},
             how="give all parameters that flew: notches, low-passes, switches; check the delay",
+            by="frequency response",
+        ),
+    )
+
+
+def filter_objections(
+    loop: RateLoop, measured: Mapping[str, MeasuredAxis]
+) -> tuple[Objection, ...]:
+    """ArduPilot's gyro is logged behind its low-pass: responses of a model for another cutoff."""
+    fitting = []
+    for cutoff in np.geomspace(*LIMITS.low_passes) if loop.autopilot == "ardupilot" else ():
+        departures, other = {}, replace(loop, gyro_cutoff=float(cutoff))
+        for axis, one in measured.items():
+            found = one.torque
+            by = loop.logged_gyro(found.omega) / other.logged_gyro(found.omega)
+            found = replace(found, values=by * found.values, std=np.abs(by) * found.std)
+            if (smooth := smooth_ratio(found, one.model)) is not None:
+                departures[axis] = smooth.departure()
+        if departures and not [*parted(departures, LIMITS.unmodeled)]:
+            fitting.append(float(cutoff))
+    if not fitting:
+        return ()
+    given = f"at {loop.gyro_cutoff:g} Hz" if loop.gyro_cutoff else "off"
+    return (
+        Objection(
+            f"the measured responses are those of the model with the gyro's low-pass at "
+            f"{fitting[0]:.0f} to {fitting[-1]:.0f} Hz, and not {given}",
+            evidence={"cutoff": float(np.sqrt(fitting[0] * fitting[-1]))},
+            how="give INS_GYRO_FILTER as it flew, and all notches with their switches",
             by="frequency response",
         ),
     )
@@ -591,12 +622,15 @@ def study(
             "acts later (log gyro, commands and rate set-points at 200 Hz)"
         )
     departures = {name: one.departure() for name, one in smooth.items() if one is not None}
-    objections = (*misread_speeds(vehicle), *parted(departures, LIMITS.unmodeled))
+    objections = tuple(parted(departures, LIMITS.unmodeled))
+    filtered = filter_objections(loop, measured) if objections else ()
+    objections = (*misread_speeds(vehicle), *(filtered or objections))
     now = replace(loop, besides=()) if loop.gains_known else None
     answered = answers(signals, (dynamics, loop)) if signals is not None and now else {}
     # A loop that does not answer as modeled is another than its margins are of.
     late_loop = late_objections(dynamics, loop, measured)
-    misjudged = (*objections, *(late_loop or parted_answers(answered)))
+    of_loop = () if filtered else late_loop or parted_answers(answered)
+    misjudged = (*objections, *of_loop)
     proposed, said = None, tuple(each.words for each in misjudged)
     if not misjudged:
         proposed, said = sure_proposal(dynamics, loop, now, measured)
