@@ -24,16 +24,17 @@ from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.health.vehicle_health import HealthOptions
 from gcs_sysid.model.airframe import USUAL, CommandRange
 from gcs_sysid.model.rotor_input import RotorInput
+from sim_bridge.sensor_faults import SensorFaults
 from sim_bridge.simulated_vehicle import Vehicle
-from testbed.hover_flights import LAYOUTS, ORDINARY, fly, streams_in, uneven
+from testbed.hover_flights import LAYOUTS, ORDINARY, fly, pressure_in, streams_in, uneven
 from testbed.study import arguments, markdown
 from testbed.vehicles import draw
 
-FLIGHTS = 2
-"""Of each vehicle, of which there is one proposal."""
+FLIGHTS, PASCALS = 2, 11.45
+"""Of each vehicle, of which there is one proposal; of a meter, where the emulator flies."""
 
 
-def truths(vehicle: Vehicle, proposals: tuple[Proposal, ...]) -> dict[str, float]:
+def truths(vehicle: Vehicle, full: float, proposals: tuple[Proposal, ...]) -> dict[str, float]:
     """True values: a hover's throttle is that by the curve that the autopilot has afterwards."""
     weight = vehicle.mass * 9.80665 / (len(vehicle.rotors) * vehicle.T_max)
     c = vehicle.thrust_curve
@@ -45,6 +46,8 @@ def truths(vehicle: Vehicle, proposals: tuple[Proposal, ...]) -> dict[str, float
     hover = float(command.load(u, np.array(after)))
     found |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), hover)
     found["EKF2_MCOEF"] = float(vehicle.linear_drag / vehicle.mass)
+    slope, by = (1.0 - each + 2.0 * each * u for each in (c, after))
+    found |= {"BARO1_THST_SCALE": full * slope / by, "SENS_BARO_K_T": full * slope / by / PASCALS}
     for i, rotor in enumerate(vehicle.rotors):
         found[f"CA_ROTOR{i}_PX"] = rotor.x - vehicle.cg_x
         found[f"CA_ROTOR{i}_PY"] = rotor.y - vehicle.cg_y
@@ -66,22 +69,24 @@ def of_vehicle(
         now = {name: float(np.clip(c + 0.3 * moved[0], 0.0, 1.0)) for name in now}
     now |= dict.fromkeys(("MPC_THR_HOVER", "MOT_THST_HOVER"), 0.4 + 0.1 * moved[1])
     now |= {"EKF2_MCOEF": 0.15, "EKF2_BCOEF_X": 100.0, "EKF2_BCOEF_Y": 100.0}
+    now |= dict.fromkeys(("BARO1_THST_SCALE", "SENS_BARO_K_T"), 0.0)
     for i, rotor in enumerate(drawn.vehicle.rotors):
         now |= {f"CA_ROTOR{i}_PX": rotor.x, f"CA_ROTOR{i}_PY": rotor.y}
-    flights = []
+    flights, full = [], float(150.0 * np.random.default_rng(number).standard_normal())
     for k in range(FLIGHTS):
         log = folder / f"{number}_{k}.tlog"
         load = 1.0 + TUNING.common_command * random.standard_normal()
         if not log.exists():
-            loaded = replace(drawn.vehicle, mass=drawn.vehicle.mass * load)
-            flown = replace(drawn, vehicle=loaded)
-            fly(log, flown, ORDINARY, FLIGHTS * number + k, traits)
-        streams = streams_in(log, airframe, speeds=speeds)
+            flown = replace(drawn, vehicle=replace(drawn.vehicle, mass=drawn.vehicle.mass * load))
+            faults = SensorFaults(thrust_pressure=full)
+            fly(log, flown, ORDINARY, FLIGHTS * number + k, traits, sensor_faults=faults)
+        pressure = {"pressure": pressure_in(log)}
+        streams = replace(streams_in(log, airframe, speeds=speeds), extras=pressure)
         guess = GuessedAirframe(airframe, "given")
         health = health_of(streams, guess, HealthOptions(airframe), now)
         flights.append(replace(health, source=log.name, autopilot=autopilot, parameters=now))
     found = determined(flights)
-    return found, truths(drawn.vehicle, found) if found else {}
+    return found, truths(drawn.vehicle, full, found) if found else {}
 
 
 def rows(numbers: range, folder: Path) -> Iterator[str]:

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pymavlink import mavutil
 
-from gcs_sysid.arrays import complete_rows
+from gcs_sysid.arrays import Array, complete_rows
 from gcs_sysid.health.command_curve import thrust_of
 from gcs_sysid.health.hover import Windows, windows_of
 from gcs_sysid.health.log_streams import Streams, streams_of
@@ -96,6 +97,15 @@ def fly(
         autopilot.schedule.set_interval(message, 1e6 / ROTORS, 0)
         autopilot.schedule.streams[message].due = float(phase.uniform(0.0, 1e6 / ROTORS))
     fly_into(log, simulation, autopilot, seconds)
+
+
+def pressure_in(log: Path) -> tuple[Array, Array]:
+    """(n,) s and Pa of a recording's barometer."""
+    opened = mavutil.mavlink_connection(str(log))
+    frames = iter(lambda: opened.recv_match(type="HIGHRES_IMU"), None)
+    t, pressure = np.array([(f.time_usec * 1e-6, 100.0 * f.abs_pressure) for f in frames]).T
+    opened.close()
+    return t, pressure
 
 
 def streams_in(log: Path, airframe: Airframe, *, speeds: bool, thin: bool = False) -> Streams:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pymavlink import mavparm, mavutil
+from pymavlink import mavparm
 
 from benchmarks.params import of_vehicle
 from gcs_sysid.__main__ import main
@@ -22,7 +22,7 @@ from gcs_sysid.health.vehicle_health import Finding, Health, HealthOptions, Hove
 from gcs_sysid.model.airframe import load_airframe
 from gcs_sysid.model.estimate import Quantity
 from sim_bridge.sensor_faults import SensorFaults
-from testbed.hover_flights import LAYOUTS, ORDINARY, fly, streams_in
+from testbed.hover_flights import LAYOUTS, ORDINARY, fly, pressure_in, streams_in
 from testbed.vehicles import draw
 
 FLIGHTS = ("00000077", "00000096", "00000108", "00000122")
@@ -272,24 +272,20 @@ def test_a_notch_is_set_where_the_rotors_are_and_one_for_something_else_is_left(
 def test_pressure_for_thrust_is_set_where_climbs_show_it(tmp_path, seed, full):
     drawn, log = draw(seed, LAYOUTS), tmp_path / "a.tlog"
     fly(log, drawn, ORDINARY, seed, sensor_faults=SensorFaults(thrust_pressure=full))
-    opened, c = mavutil.mavlink_connection(str(log)), float(drawn.vehicle.thrust_curve)
-    frames = iter(lambda: opened.recv_match(type="HIGHRES_IMU"), None)
-    read = np.array([(f.time_usec * 1e-6, 100.0 * f.abs_pressure) for f in frames]).T
-    opened.close()
-    streams = streams_in(log, drawn.airframe, speeds=False)
-    windows = windows_of(streams, len(drawn.airframe.rotors))
+    streams, read = streams_in(log, drawn.airframe, speeds=False), pressure_in(log)
+    windows, c = windows_of(streams, len(drawn.airframe.rotors)), float(drawn.vehicle.thrust_curve)
     assert thrust_pressure(streams, windows, c) is None
-    streams = replace(streams, extras={"pressure": tuple(read)})
+    streams = replace(streams, extras={"pressure": read})
     assert thrust_pressure(streams, windows.part(windows.t < 8.0), c) is None
     for stuck in (0.0, 95000.0):
         lost = replace(streams, extras={"pressure": (read[0], 0.0 * read[1] + stuck)})
         assert thrust_pressure(lost, windows, c) is None
-    found, hover = thrust_pressure(streams, windows, c), Quantity(0.4, 0.01, "1")
+    found = thrust_pressure(streams, windows, c)
     assert abs(found.full.value - full) < found.full.half < 25.0
     for autopilot, name, unit in (
         ("ardupilot", "BARO1_THST_SCALE", 1.0), ("px4", "SENS_BARO_K_T", 1.0 / found.meter),
     ):  # fmt: skip
-        known = {"barometer": found, "hover_thrust": hover}
+        known = {"barometer": found, "hover_thrust": Quantity(0.4, 0.01, "1")}
         cases = (({name: 0.0}, known), ({name: unit * full}, known), ({name: 0.0}, {}), ({}, known))
         rows = [by_name(determined([hovering(autopilot, now, **of)])) for now, of in cases]
         of_zero = "set" if abs(full) > 1.0 else "leave"

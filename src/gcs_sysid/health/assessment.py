@@ -308,7 +308,9 @@ def health_of(
         arm_std=guess.arm_std * airframe.arm,
         battery=battery_of(streams),
         by_voltage=power_of_voltage(streams, windows, curve),
-        barometer=thrust_pressure(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
+        barometer=thrust_pressure(
+            streams, windows, parameters.get("THR_MDL_FAC", parameters.get("MOT_THST_EXPO", 0.0))
+        ),
         motor_current=motor_current(streams, windows, parameters.get("THR_MDL_FAC", 0.0)),
         drag=drag_of(streams, windows),
         turning=lines.factor,

@@ -294,15 +294,17 @@ class _HoverFlight:
         """THR_MDL_FAC or MOT_THST_EXPO."""
         now, c = self.now(name), _curve(self.health)
         note = "thrust curve"
-        x = self.health.hover_command
-        if c is not None and self.curve is not None and now is not None and x is not None:
-            gain = (1.0 - now + 2.0 * now * x.mean) / (
-                1.0 - self.curve.value + 2.0 * self.curve.value * x.mean
-            )
+        if c is not None and self.curve is not None and now is not None:
+            gain = self.slope_over(now, self.curve.value)
             if abs(gain - 1.0) > 0.05:
                 note += f"; rate gains act {gain:.2f} times as now in hover: mind them"
         lacks = "" if c is not None else "no climbs or speeds that show the thrust curve"
         return self.propose(name, c, note, use=TUNING.usable_curve, lacks=lacks, fly=_CLIMB)
+
+    def slope_over(self, one: float, other: float) -> float:
+        """Slope in hover of the thrust by a curve over that by another."""
+        u = 0.5 if self.health.hover_command is None else self.health.hover_command.mean
+        return (1.0 - one + 2.0 * one * u) / (1.0 - other + 2.0 * other * u)
 
     def curve_after(self, name: str) -> Quantity:
         """C that the autopilot has once what is to be set is set: exact where it is the old one."""
@@ -362,7 +364,7 @@ def _px4(flight: _HoverFlight) -> Iterator[Proposal]:
     )
     yield _by_voltage(flight, "MC_BAT_SCALE_EN", 1.0, "")
     yield from _current(flight)
-    yield from _barometer(flight, "SENS_BARO_K_T", "m", by_meter=True)
+    yield from _barometer(flight, "SENS_BARO_K_T", "THR_MDL_FAC", "m")
     if int(flight.now("IMU_GYRO_DNF_EN") or 0) & 1:
         yield _notch(flight, "IMU_GYRO_DNF_MIN", None, _FOLLOWS)
     assert health.airframe is not None
@@ -412,8 +414,11 @@ def _current(flight: _HoverFlight) -> Iterator[Proposal]:
     yield flight.propose("MOTFAIL_IDLE", level, note, lacks=lacks, then=then, fly=_CURRENTS)
 
 
-def _barometer(flight: _HoverFlight, name: str, unit: str, *, by_meter: bool) -> Iterator[Proposal]:
-    """What the autopilot takes off the barometer for full thrust, where its firmware can."""
+def _barometer(flight: _HoverFlight, name: str, of_curve: str, unit: str) -> Iterator[Proposal]:
+    """What the autopilot takes off the barometer for full thrust, where its firmware can.
+
+    Thrust is that by the curve that the autopilot has afterwards, near the hover.
+    """
     found, hover = flight.health.barometer, flight.health.hover_thrust
     if flight.now(name) is None:
         return
@@ -421,8 +426,9 @@ def _barometer(flight: _HoverFlight, name: str, unit: str, *, by_meter: bool) ->
         lacks = "no pressure and thrust over climbs and descents in the autopilot's own log"
         yield flight.propose(name, None, lacks=lacks, fly=_STILL_AIR)
         return
-    meter = 1.0 if by_meter else found.meter
-    full = found.full.times(meter / found.meter, unit)
+    meter = 1.0 if unit == "m" else found.meter
+    by = flight.slope_over(flight.now(of_curve) or 0.0, flight.curve_after(of_curve).value)
+    full = found.full.times(by * meter / found.meter, unit)
     use = TUNING.worth_height * meter / hover.value
     yield flight.propose(name, full, "pressure over climbs", use=use, fly=_STILL_AIR)
 
@@ -444,7 +450,7 @@ def _ardupilot(flight: _HoverFlight) -> Iterator[Proposal]:
     if idle is not None:
         note = "0.03 above the least output at which all rotors were measured turning"
         yield flight.propose("MOT_SPIN_MIN", idle, note)
-    yield from _barometer(flight, "BARO1_THST_SCALE", "Pa", by_meter=False)
+    yield from _barometer(flight, "BARO1_THST_SCALE", "MOT_THST_EXPO", "Pa")
     if health.arm_known:
         yield from _imu(flight, "INS_POS1_")
     yield from _drag(flight, "EK3_DRAG_")
