@@ -475,12 +475,12 @@ class ActuatorDynamics:
         Returns:
             (K, f, f) by the free coordinates.
         """
-        out = np.empty((len(at), len(self.free), len(self.free)))
-        for i, step in enumerate(_DIFFERENCE * (self.high - self.low)[list(self.free)]):
-            beside = at.copy()
-            beside[:, self.free[i]] += step
-            change = (self.maps(beside)[:, 1:] - maps[:, 1:]) / step
-            out[:, i] = (weights[:, None] * change).sum(axis=(2, 3))
+        free, K, f = list(self.free), len(at), len(self.free)
+        steps = _DIFFERENCE * (self.high - self.low)[free]
+        beside = at[:, None] + np.eye(at.shape[1])[free] * steps[:, None]
+        moved = self.maps(beside.reshape(K * f, -1))[:, 1:].reshape(K, f, *maps[0, 1:].shape)
+        sums = (moved - maps[:, None, 1:]).reshape(K, f * f, -1) @ weights.reshape(K, -1, 1)
+        out: Array = sums.reshape(K, f, f) / steps[:, None]
         return 0.5 * (out + np.swapaxes(out, 1, 2))
 
     def _bent(self, at: Array, by: Sequence[int | None], targets: _Targets) -> list[Array]:
