@@ -108,7 +108,7 @@ def fit_offline(
     rotation = best.fit.rotation
     if place is not None:
         doubt = _motor_doubt([estimated for estimated, _ in found], tracker.dt)
-        doubt += curve_doubt(rotation, estimator.record.window_fit)
+        doubt += curve_doubt(rotation, lambda: estimator.record.window_fit(place))
         rotation = replace(rotation.widened(doubt), lag_place=place, lag_doubt=doubt)
     own, apart = _widened(rotation, before)
     thrust, accelerometer = estimator.fit_translation(own)

@@ -265,14 +265,14 @@ class RotationEstimator:
         record, commands = self._record, self._record.commands
         if commands is None or not fit.of_steps:
             return fit
-        off = commands.doubt + curve_doubt(fit, record.window_fit)
+        place = record.places(self._basis.lag_place.of)[0]
+        off = commands.doubt + curve_doubt(fit, lambda: record.window_fit(place))
         mean = commands.mean_thrust
         if mean is not None and fit.disturbance.max() > RULES.detected:
             # Each rotor's mean thrust may be off by what asymmetry adds to it.
             share, _ = mean.rectified(fit.coordinates)
             for i, arms in ((rb.CG_X, self._geometry[0]), (rb.CG_Y, self._geometry[1])):
                 off[i, i] += share**2 * float((arms**2).mean()) / len(arms)
-        place = record.places(self._basis.lag_place.of)[0]
         far = commands.distance_doubt(fit)
         return replace(fit.widened(off + far), lag_place=place, lag_doubt=off)
 

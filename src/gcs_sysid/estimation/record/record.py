@@ -9,7 +9,6 @@ import numpy as np
 
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.estimation.fit.deviations import DeviationChoice
-from gcs_sysid.estimation.fit.lag_places import fit_lag_places
 from gcs_sysid.estimation.fit.rotation import RotationFit
 from gcs_sysid.estimation.fit.whitened_fit import fit_whitened
 from gcs_sysid.estimation.fit.whitener_choice import explained_by
@@ -318,15 +317,16 @@ class FlightRecord:
         assert isinstance(noise, CommandNoise)
         commands.tune(noise.level[0])
 
-    def window_fit(self) -> RotationFit | None:
-        """The fit to rows of the symmetric window, where commands have those of one step too."""
-        data, basis = self.window.moments(self._window_noise()), copy(self.basis)
-        found = fit_lag_places(
-            lambda first: fit_whitened(data, basis, first, doubt=self.noise_doubt),
-            basis,
-            self.places(),
-            self.seconds / self.half_width,
-        )
+    def window_fit(self, place: LagPlace) -> RotationFit | None:
+        """The fit to rows of the symmetric window, where commands have those of one step too.
+
+        Args:
+            place: what lags.
+        """
+        basis = copy(self.basis)
+        basis.lag_place = place
+        data = self.window.moments(self._window_noise())
+        found = fit_whitened(data, basis, doubt=self.noise_doubt)
         return None if found is None else found.rotation
 
     @property
