@@ -120,7 +120,7 @@ def find_other_layout(
         geometry: (3, rotors) given.
     """
     few = [i for i, w in enumerate(data.whiteners) if w.name in _WHITENERS or not data.of_steps]
-    small = data.under(few)
+    small = data.under(few).summed
     # Of the same rows: by others, gusts count for less or for more.
     own, found = _left(small, basis), []
     if (own - _least(small, basis)).sum() <= -np.log(_CONVINCING):
@@ -147,8 +147,8 @@ def _left(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
 
 
 def _least(data: WhitenedMoments, basis: ActuatorDynamics) -> Array:
-    """(3,) as `_left`, were each axis free to mix its signals: no layout leaves less."""
-    total = data.total(np.ones(len(data.counts), dtype=bool))[:, None]
+    """(3,) as `_left`, of one batch, were each axis free to mix its signals: none leaves less."""
+    total = data.parts[0][0][:, None]
     P = basis.maps(basis.nodes)[:, 0]
     moments = P @ total @ np.swapaxes(P, 1, 2)  # (bank, nodes, WIDTH, WIDTH)
     diagonal = np.diagonal(moments, axis1=2, axis2=3)
@@ -181,10 +181,10 @@ def _mistakes(geometry: Array) -> list[tuple[str, Array]]:
 
 
 def _seen_as(data: WhitenedMoments, basis: ActuatorDynamics, turn: Array) -> WhitenedMoments:
-    """The data with other rotor signals: (4, 4) `turn` times those of each element."""
+    """One batch with other rotor signals: (4, 4) `turn` times those of each element."""
     width = basis.width
     map_ = np.eye(width)
     for start in range(0, width - BODY, SIGNALS):
         map_[start : start + 4, start : start + 4] = turn
-    parts = tuple(map_ @ part @ map_.T for part in data.parts)
-    return replace(data, parts=parts, noise=map_ @ data.noise @ map_.T)
+    seen = map_ @ data.parts[0] @ map_.T
+    return replace(data, parts=(seen,), noise=map_ @ data.noise @ map_.T)

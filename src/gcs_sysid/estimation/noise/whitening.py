@@ -25,6 +25,7 @@ sigma^2 the power of the innovations: every axis takes the whitener of least inn
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -427,9 +428,16 @@ class WhitenedMoments:
             out += np.tensordot(weights[start : start + len(part)], part, 1)
         return self._mute(out)
 
-    def under(self, some: Sequence[int]) -> "WhitenedMoments":
+    @property
+    def summed(self) -> Self:
+        """The same in one batch."""
+        total = self.total(np.ones(len(self.counts), dtype=bool))[None]
+        counts = self.counts.sum(keepdims=True)
+        return replace(self, parts=(total,), counts=counts, weights=None)
+
+    def under(self, some: Sequence[int]) -> Self:
         """The same with some of the whiteners alone; of a single one, views."""
-        at = slice(some[0], some[0] + 1) if len(some) == 1 else list(some)
+        at = _places(some)
         return replace(
             self,
             parts=tuple(part[:, at] for part in self.parts),
@@ -446,23 +454,22 @@ class WhitenedMoments:
     def of_axes(self, pick: Sequence[int]) -> Array:
         """(k, 3, width, width) of each axis' whitener; not to be written to.
 
-        (k, 1, ...) where there is but one.
+        (k, 1, ...) where that is one and the same.
         """
         key = tuple(pick)
         if key not in self._latest:
             self._latest.clear()
-            self._latest[key] = self._of_axes(key)
+            self._latest[key] = self._of_axes(key if len(set(key)) > 1 else key[:1])
         return self._latest[key]
 
     def _of_axes(self, pick: tuple[int, ...]) -> Array:
-        alone = len(self.whiteners) == 1
-        some = [part if alone else part[:, list(pick)] for part in self.parts]
+        some = [part[:, _places(pick)] for part in self.parts]
         every = some[0] if len(some) == 1 else np.concatenate(some)
         if self.weights is not None:
             every = every * self.weights[:, None, None, None]
-        return self._mute(every.copy() if alone and self.muted else every)
+        return self._mute(every.copy() if self.muted else every)
 
-    def weighed(self, power: Array) -> "WhitenedMoments":
+    def weighed(self, power: Array) -> Self:
         """The same, where rows of a batch count by the inverse of its innovations' power.
 
         Gusts and propeller wash come and go: the likelihood of innovations whose variance changes
@@ -490,6 +497,11 @@ class WhitenedMoments:
         moments[..., columns, :] = 0.0
         moments[..., :, columns] = 0.0
         return moments
+
+
+def _places(some: Sequence[int]) -> slice | list[int]:
+    """An index of some whiteners; of a single one, for a view."""
+    return slice(some[0], some[0] + 1) if len(some) == 1 else list(some)
 
 
 def joined(values: Array, counts: NDArray[np.int64], least: int) -> Array:
