@@ -13,6 +13,7 @@ from gcs_sysid.signals.smoothers import (
     LinearDifferentiator,
     WindowSmoother,
     cosine_window,
+    noise_gains,
 )
 
 DT = 0.02
@@ -131,9 +132,8 @@ def test_late_signals_are_taken_at_every_delay(cuts):
 def test_noise_gains_are_those_of_white_noise(kind, memory):
     smoother = make(kind)
     rows = smoother.update(np.random.default_rng(3).standard_normal((400, 200)), 0)
-    for gain, found in zip(
-        smoother.noise_gains(memory), (rows.average, rows.derivative), strict=True
-    ):
+    gains = noise_gains(smoother, DT, memory)
+    for gain, found in zip(gains, (rows.average, rows.derivative), strict=True):
         if memory:
             summed = np.zeros_like(found)
             first = np.flatnonzero(np.isfinite(found[:, 0]))[0]

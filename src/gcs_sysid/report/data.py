@@ -32,7 +32,7 @@ from gcs_sysid.model.rotor_input import RotorInput
 from gcs_sysid.results.history import History
 from gcs_sysid.results.result import Result
 from gcs_sysid.results.snapshot import Event
-from gcs_sysid.signals.smoothers import Window, cosine_window
+from gcs_sysid.signals.smoothers import Window, cosine_window, noise_gains
 from gcs_sysid.twin.measured_flight import FlightRecorder
 
 
@@ -110,7 +110,7 @@ def predict(
     variance = np.zeros(3)
     if model is not None and noise is not None:
         Q = model.Q[:, :4]
-        average, _ = predictor.smoother.noise_gains(0.0)
+        average, _ = noise_gains(predictor.smoother, dt, 0.0)
         variance = np.diag(Q @ (average * noise.torques) @ Q.T)
     step = predictor.smoother.step * dt
     residual = np.where(out[:, None], measured - predicted, np.nan)

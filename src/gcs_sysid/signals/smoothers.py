@@ -271,10 +271,9 @@ class WindowSmoother:
         self._window = window.delayed(0.0, dt, room) if room > half else window
         moved = [window.delayed(d, dt, room) if d else self._window for d in delays]
         self._late_taps = np.stack([w.average for w in moved] + [w.derivative for w in moved]).T
-        self._taps = np.stack([self._window.average, self._window.derivative])
-        self._gains: dict[float, tuple[float, float]] = {}
+        self.taps = np.stack([self._window.average, self._window.derivative])
+        """(2, length) responses of an average and of a derivative, 1/s, to a single sample."""
         self._pending: Array | None = None
-        self._dt = dt
 
     @property
     def late_taps(self) -> Array:
@@ -285,12 +284,6 @@ class WindowSmoother:
     def late_slopes(self) -> Array:
         """(delays, length) the same of their derivatives, 1/s."""
         return self._late_taps.T[len(self.delays) :, ::-1]
-
-    def noise_gains(self, memory: float) -> tuple[float, float]:
-        """Variance of an average and of a derivative over that of white sample noise."""
-        if memory not in self._gains:
-            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
-        return self._gains[memory]
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -338,31 +331,24 @@ class DifferentiatorSmoother:
         self._filter = LinearDifferentiator(dt, bandwidth, DAMPING)
         self.step = max(1, round(0.25 / (bandwidth * dt)))
         self.delays = np.zeros(1)
-        self._dt = dt
         impulse = np.zeros((self._filter.settling + 2, 1))
         impulse[1] = 1.0
         response = LinearDifferentiator(dt, bandwidth, DAMPING).update(impulse)
-        self._taps = np.stack([z[1:, 0] for z in response])
+        self.taps = np.stack([z[1:, 0] for z in response])
+        """As of `WindowSmoother`."""
         self._next_row = 0
         self._held: Array | None = None
         self._unsettled: Array = np.zeros(0)
-        self._gains: dict[float, tuple[float, float]] = {}
 
     @property
     def late_taps(self) -> Array:
         """(1, length) response of an average to a single sample."""
-        return self._taps[:1]
+        return self.taps[:1]
 
     @property
     def late_slopes(self) -> Array:
         """(1, length) the same of a derivative, 1/s."""
-        return self._taps[1:]
-
-    def noise_gains(self, memory: float) -> tuple[float, float]:
-        """Variance of an average and of a derivative over that of white sample noise."""
-        if memory not in self._gains:
-            self._gains[memory] = _leaky_power(self._taps, self.step, self._dt, memory)
-        return self._gains[memory]
+        return self.taps[1:]
 
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
@@ -420,7 +406,7 @@ def leaky(responses: Array, step: int, dt: float, memory: float) -> Array:
     return np.stack([np.convolve(response, leak) for response in responses])
 
 
-def _leaky_power(taps: Array, step: int, dt: float, memory: float) -> tuple[float, float]:
-    """Sum of squared weights of (2, n) taps, after a leaky sum over every `step`-th row."""
-    average, derivative = (float(t @ t) for t in leaky(taps, step, dt, memory))
+def noise_gains(smoother: Smoother, dt: float, memory: float) -> tuple[float, float]:
+    """Variance of an average and of a derivative over that of white sample noise, leaky sums."""
+    average, derivative = (float(t @ t) for t in leaky(smoother.taps, smoother.step, dt, memory))
     return average, derivative

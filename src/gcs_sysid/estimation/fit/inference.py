@@ -14,7 +14,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask, by_parts
 from gcs_sysid.estimation.fit.priors import COORDINATE_STD, COORDINATES, N_UNKNOWNS, Prior, Unknown
 from gcs_sysid.estimation.fit.problem import N_X, Evaluation, Problem, own_power, residual_maker
-from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along
+from gcs_sysid.estimation.fit.rotation import RotationFit, RotationStart, along, standard_deviations
 from gcs_sysid.estimation.fit.solver import minimize, scales
 from gcs_sysid.estimation.noise.uncertainty import symmetric_roots
 from gcs_sysid.estimation.rows.actuator_dynamics import ActuatorDynamics
@@ -227,7 +227,7 @@ class Outcome:
                 for place in (Unknown.CURVE, Unknown.LAG):
                     off = along(own, place, COORDINATE_STD[place - rb.N_THETA])
                     own += np.outer(off, off)
-        data_std = _deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
+        data_std = standard_deviations(np.diagonal(data_covariance, axis1=1, axis2=2)) / d
         # The likelihood's information adds up with the prior's L to C^-1: dx / dm = C L.
         by_prior = every[:, problem.free[:, None], problem.free] @ problem.prior_information
         return [
@@ -295,11 +295,6 @@ class Outcome:
                 return unknowns
             step = np.where(physical[:, None], step, 0.5 * step)
         return np.where(self._problem.are_allowed(unknowns)[:, None], unknowns, self._unknowns)
-
-
-def _deviations(variances: Array) -> Array:
-    """Square roots; without limit where less noise than there is left negative information."""
-    return np.sqrt(np.where(variances >= 0.0, variances, np.inf))
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

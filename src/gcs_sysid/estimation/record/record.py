@@ -33,7 +33,12 @@ from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift
 from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.records import Samples
 from gcs_sysid.signals.redundant_commands import SLOW_COMMANDS
-from gcs_sysid.signals.smoothers import DifferentiatorSmoother, Smoother, WindowSmoother
+from gcs_sysid.signals.smoothers import (
+    DifferentiatorSmoother,
+    Smoother,
+    WindowSmoother,
+    noise_gains,
+)
 
 _JUDGED, _JUDGED_AGAIN = 6.0, 2.0
 """s of flight after which it is first asked whether the gyro is filtered; growth until the next."""
@@ -154,7 +159,7 @@ class FlightRecord:
         kept = _FEWER_BATCHES if commands else _BATCHES
         bank = (len(self.memories), basis.width, basis.width)
         self.rotation = NormalEquations(bank, per_batch, kept)
-        gains = np.array([smoother.noise_gains(memory)[1] for memory in self.memories])
+        gains = np.array([noise_gains(smoother, dt, memory)[1] for memory in self.memories])
         self.window = WindowRecord(
             basis, self.rotation, self.memories, dt, self.row_time, per_batch, gains
         )

@@ -44,7 +44,9 @@ class RotorPath:
         self._motors = basis.motors
         lags = basis.lags
         self._bent = list(basis.bent_lags)
-        self._filters = [motor_filter(dt, lag) for lag in lags]
+        filters = [motor_filter(dt, lag) for lag in lags]
+        self._filters = [*((1, f) for f in filters), *((2, filters[i]) for i in self._bent)]
+        """Powers of commands, and the motors that they pass."""
         self._lag_settling = int(np.ceil(_SETTLED * lags[-1] / dt))
         self._low_pass = low_pass_for(gyro_cutoff, dt)
         self.restart()
@@ -53,7 +55,6 @@ class RotorPath:
         """What comes next does not join on to what came before."""
         self._last: Array | None = None
         self._last_command: Array = np.empty(0)
-        self._last_square: Array = np.empty(0)
         self._wait = 0
         if self._low_pass is not None:
             self._low_pass.restart()
@@ -96,34 +97,27 @@ class RotorPath:
     def _lagged(self, commands: Array) -> tuple[Array, Array]:
         """(lags, n, rotors) commands through motors of first order; (bent lags, ...) squares."""
         out = np.full((len(self._filters), *commands.shape), np.nan)
-        squares = np.full((len(self._bent), *commands.shape), np.nan)
         for run, there in runs(complete_rows(commands)):
             if not there:
                 self._last = None
                 continue
             part = commands[run]
             if self._last is None:
-                self._last = np.repeat(part[:1], len(self._filters), axis=0)
+                self._last = np.stack([part[0] ** power for power, _ in self._filters])
                 self._last_command = part[:1]
-                self._last_square = np.repeat(part[:1] ** 2, len(self._bent), axis=0)
                 self._wait = self._lag_settling
             skip = min(self._wait, len(part))
             self._wait -= skip
             with_last = np.concatenate([self._last_command, part])
             self._last_command = part[-1:]
-            for i, (a, b0, b1) in enumerate(self._filters):
-                driven = b0 * with_last[1:] + b1 * with_last[:-1]
+            for i, (power, (a, b0, b1)) in enumerate(self._filters):
+                input_ = with_last**power
+                driven = b0 * input_[1:] + b1 * input_[:-1]
                 lagged, _ = lfilter([1.0], [1.0, -a], driven, a * self._last[i : i + 1])
                 self._last[i] = lagged[-1]
                 out[i, run.start + skip : run.stop] = lagged[skip:]
-            square = with_last * with_last
-            for i, lag in enumerate(self._bent):
-                a, b0, b1 = self._filters[lag]
-                driven = b0 * square[1:] + b1 * square[:-1]
-                lagged, _ = lfilter([1.0], [1.0, -a], driven, a * self._last_square[i : i + 1])
-                self._last_square[i] = lagged[-1]
-                squares[i, run.start + skip : run.stop] = lagged[skip:]
-        return out, squares
+        lags = len(self._filters) - len(self._bent)
+        return out[:lags], out[lags:]
 
 
 class GyroLowPass:
