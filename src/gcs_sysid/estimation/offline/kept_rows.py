@@ -35,6 +35,7 @@ from gcs_sysid.estimation.rows.motor_linearization import (
 from gcs_sysid.estimation.rows.rotor_signals import low_pass_for
 from gcs_sysid.estimation.rows.thrust_drift import ThrustDrift, hindsight
 from gcs_sysid.model import rigid_body as rb
+from gcs_sysid.signals.one_step import step_for
 from gcs_sysid.signals.records import Samples
 
 _DEGREE = 5
@@ -42,8 +43,6 @@ _END = 3
 """Samples at either end of a run where the spline is less true."""
 _MAX_STEP = 0.0125
 """s, of Simpson's rule: the error is (omega h)^4 / 2880, 1e-5 of a 5 Hz signal."""
-_SHORTEST = 0.002
-"""s, of a row: faster samples add nothing on rigid-body motion."""
 _REACH = 15
 """Samples after which a spline has forgotten an impulse."""
 _AT_ONCE = 4096
@@ -114,8 +113,8 @@ class SpeedRows:
         gyro_cutoff: float | None = None,
     ) -> None:
         self._delay, self._reach, self._covariance = delay, reach, covariance
-        h = max(1, round(_SHORTEST / dt))
-        self.time = h * dt
+        step = step_for(dt)
+        h, self.time = step.step, step.time
         self._steps = max(1, math.ceil(self.time / _MAX_STEP - 1e-9))
         self._margin = _END + math.ceil((abs(delay) + reach + _APART) / self.time)
         self._runs: list[tuple[Array, Array, Array]] = []
