@@ -70,6 +70,7 @@ class WhitenedRecord:
         self._per_long = max(round(batch_time / step.time), 1)
         self._long = NormalEquations(shape, self._per_long, _LONG)
         self._recent = np.zeros((_RECENT, *shape))
+        """Those without rows hold anything."""
         self._counts = np.zeros(_RECENT, dtype=np.int64)
         self._full = 0
         self._overlaps: Array | None = None
@@ -167,7 +168,6 @@ class WhitenedRecord:
         while dropped < rows and self._begun:
             last = self._begun - 1
             dropped += int(self._counts[last])
-            self._recent[last] = 0.0
             self._counts[last] = 0
             self._full = last
         if dropped < rows:
@@ -197,7 +197,7 @@ class WhitenedRecord:
             if not shocks[i]:
                 self._long.add_sum(self._recent[i], int(self._counts[i]))
         self._recent[:half], self._counts[:half] = self._recent[half:], self._counts[half:]
-        self._recent[half:], self._counts[half:] = 0.0, 0
+        self._counts[half:] = 0
         self._full = half
 
     def _narrow(self, white: Array, noise: Array) -> Array:
