@@ -4,6 +4,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gcs_sysid.arrays import Array
-from gcs_sysid.errors import InputError
+from gcs_sysid.errors import InputError, NoAnswerError
+from gcs_sysid.health.airframe_guess import guess_airframe
 from gcs_sysid.health.assessment import HoverRecords
 from gcs_sysid.health.vehicle_health import Health, HealthOptions
 from gcs_sysid.inspection.facts import (
@@ -180,8 +182,11 @@ class Inspector:
         return None if vehicle is None else vehicle.rotors
 
     def _new_chain(self) -> ChainWatch:
-        vehicle = self._telemetry.vehicle
-        airframe = self._airframe or assumed_airframe(self._known_rotors or USUAL)
+        vehicle, airframe = self._telemetry.vehicle, self._airframe
+        if airframe is None and vehicle is not None:
+            with suppress(NoAnswerError):
+                airframe = guess_airframe(vehicle, self._telemetry.parameters, None, None).airframe
+        airframe = airframe or assumed_airframe(self._known_rotors or USUAL)
         return ChainWatch(airframe, vehicle.key if vehicle else "")
 
     def _reboot(self, t: float) -> None:
