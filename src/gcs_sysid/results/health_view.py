@@ -261,11 +261,14 @@ def first_answer(health: Mapping[str, Any] | None, result: Result | None = None)
     """
     # Rotors that are taken for others seem to read wrong, too.
     known = health is not None and health["order_contradicted"]
+    unseen = health is not None and health["verdict"] == "refused"
     for objection in () if result is None else result.objections:
         at = OF_THE_DATA.get(objection.by)
+        if unseen and result is not None and result.verdict == "refused" != objection.verdict:
+            continue  # it is not why nothing is known
         if at and not (known and at == OF_THE_DATA[READINGS]):
             return FirstAnswer("LOOK AT", f"{at}: {objection.reason}", _remedy(objection))
-    if health is None or health["verdict"] == "refused":
+    if health is None or unseen:
         return _unseen(health, result)
     findings = health["findings"]
     if findings:
