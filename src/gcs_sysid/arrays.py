@@ -65,3 +65,15 @@ def nonnegative(columns: Array, target: Array) -> Array:
             values[~free] = 0.0
         values = there
     return values
+
+
+def long_run(series: Array, lags: int) -> Array:
+    """(p, p) sum of products of (n, p) rows with themselves and with those up to so many before.
+
+    Bartlett's weights (Newey and West 1987) keep it positive definite.
+    """
+    total: Array = series.T @ series
+    for lag in range(1, lags + 1):
+        cross = series[lag:].T @ series[:-lag]
+        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
+    return total

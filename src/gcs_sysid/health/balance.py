@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, stdtrit
 
-from gcs_sysid.arrays import Array, nonnegative
+from gcs_sysid.arrays import Array, long_run, nonnegative
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import Airframe
@@ -94,17 +94,6 @@ def robust_fit(
         grown = np.sqrt(np.maximum(1.0, slow / np.maximum(np.diag(covariance), 1e-30)))
         covariance = covariance * np.outer(grown, grown)
     return BalanceFit(value, covariance, float(scale))
-
-
-def long_run(series: Array, lags: int) -> Array:
-    """(p, p) sum of products of (n, p) rows with themselves and, by Bartlett's weights, with those
-    up to so many before.
-    """
-    total: Array = series.T @ series
-    for lag in range(1, lags + 1):
-        cross = series[lag:].T @ series[:-lag]
-        total += (1.0 - lag / (lags + 1.0)) * (cross + cross.T)
-    return total
 
 
 def mean_of(values: Array, half: float) -> Quantity:

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from gcs_sysid.arrays import Array, complete_rows
-from gcs_sysid.health.balance import lift_of, long_run, robust_values
+from gcs_sysid.arrays import Array, complete_rows, long_run
+from gcs_sysid.health.balance import lift_of, robust_values
 from gcs_sysid.health.hover import Windows
 from gcs_sysid.health.hover_tuning import TUNING
 from gcs_sysid.model.airframe import USUAL, Airframe

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import stdtrit
 
-from gcs_sysid.arrays import Array
+from gcs_sysid.arrays import Array, long_run
 from gcs_sysid.significance import Z95
 
 _REACH = 2
@@ -13,18 +13,14 @@ _REACH = 2
 def meat(scores: Array) -> Array:
     """(p, p) covariance of the whole score, from (k, p) scores of batches in time order.
 
-    Neighboring batches correlate. Bartlett's weights (Newey and West 1987) keep it positive
-    definite.
+    Neighboring batches correlate.
     """
     k, p = scores.shape
-    weights = bartlett(k)
-    total: Array = scores.T @ scores
-    for lag, weight in enumerate(weights, 1):
-        lagged = weight * (scores[lag:].T @ scores[:-lag])
-        total = total + lagged + lagged.T
+    lags = len(bartlett(k))
+    total = long_run(scores, lags)
     if k > 2:
         # At the minimum the scores are smaller than the errors by what was fitted.
-        total *= k / max(k - p * (len(weights) + 1) / 6.0, 1.0)
+        total *= k / max(k - p * (lags + 1) / 6.0, 1.0)
     return total
 
 
