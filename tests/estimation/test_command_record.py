@@ -162,7 +162,7 @@ def test_the_coach_predicts_from_fits_to_whitened_commands(truth, samples, curve
 def test_a_body_that_is_not_rigid_has_motors_as_uncertain_as_any(estimator):
     """Its lag came out twice too large, with an interval of 2 %."""
     rigid = estimator.fit().rotation
-    other = estimator._rotation.fit(None, estimator.prior, rigid=False)
+    other = estimator.rotation.fit(None, estimator.prior, rigid=False)
     assert other.lag_place is not None
     for place in (Unknown.LAG, Unknown.DELAY):
         assert other.full_covariance[place, place] >= 0.9 * rigid.lag_doubt[place, place] > 0.0

@@ -95,7 +95,7 @@ def test_a_low_pass_that_nobody_told_of_is_no_other_vehicle(truth, flight, cutof
         samples = replace(samples, gyro=gyro, rates=gyro)
     estimator = estimator_of(truth, samples.part(slice(0, 3600)), EstimatorTuning())
     fit = estimator.fit().rotation
-    assert estimator.other_layout() is None
+    assert estimator.rotation.other_layout() is None
     # Rows of one step hold the filter's own motion: the window takes it for a delay.
     assert fit.of_steps == (cutoff is None)
     assert estimator.record.low_passed == (cutoff is not None)

@@ -309,9 +309,9 @@ class Coach:
         prospect = predicted_information(fit, known, usual, estimator.record.basis.free)
         gyro, torque = usual.gyro, usual.torque
         if not chain.rotor_input.motors:
-            torque = speed_noise(prospect.craft, estimator.record.speed_std, estimator.dt)
+            torque = speed_noise(prospect.craft, estimator.record.input_noise.std, estimator.dt)
         if fit.rotation is not None:
-            gyro = estimator.gyro_density(fit.rotation, prospect.craft.theta)
+            gyro = estimator.rotation.gyro_density(fit.rotation, prospect.craft.theta)
         return replace(prospect, noise=Noise(gyro, torque))
 
     def _progress(self) -> float:

@@ -342,7 +342,7 @@ class Chain:
         if self.tracker is not None:
             fit = self.tracker.fit()
             # Only for a result: it costs more than the fit.
-            self.fit = replace(fit, other_layout=self.tracker.estimator.other_layout())
+            self.fit = replace(fit, other_layout=self.tracker.estimator.rotation.other_layout())
 
     def result(self) -> Result:
         """The latest fit as a result."""

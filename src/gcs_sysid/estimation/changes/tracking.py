@@ -469,7 +469,7 @@ class Tracker:
         """An estimator of what may be another vehicle with the same rotors and sensors."""
         fresh = OnlineEstimator(self.geometry, self.dt, self._tuning)
         fresh.prior = known
-        fresh.know_sensors(before)
+        fresh.thrust.know_sensors(before.translation, before.accelerometer)
         own, old = fresh.record, self._estimator.record
         if own.drift is not None and old.drift is not None:
             own.drift.go_on_from(old.drift, landed=landed)
@@ -486,7 +486,7 @@ class Tracker:
     def reserve(self) -> None:
         """Have all memory now that a long flight will need, and again after each change."""
         self._reserves = True
-        self._estimator.reserve()
+        self._estimator.record.reserve()
 
     def _go_on_with(self, estimator: OnlineEstimator, kept: list[Samples]) -> None:
         """Another vehicle from now on: the last one is in its segment."""

@@ -73,8 +73,9 @@ class OnlineEstimator:
         self._alone: RotationFit | None = None
         self.record = FlightRecord(geometry, dt, tuning)
         """All that is remembered of the flight."""
-        self._thrust = ThrustEstimator(self.record, tuning.imu_place)
-        self._rotation = RotationEstimator(self.record, self._thrust, geometry)
+        self.thrust = ThrustEstimator(self.record, tuning.imu_place)
+        self.rotation = RotationEstimator(self.record, self.thrust, geometry)
+        """Fits to it, as `thrust`."""
         self._settle_interval = tuning.settle_interval
         self._warm_starts: dict[str, _SeriesStart] = {}
         self._rigid_body_test: RigidBodyTest | None = None
@@ -84,10 +85,6 @@ class OnlineEstimator:
         """Likewise."""
         self._rigid_body_test_at = 0.0
 
-    def know_sensors(self, before: Fit) -> None:
-        """Take over from an earlier segment how accelerometer and velocity err."""
-        self._thrust.know_sensors(before.translation, before.accelerometer)
-
     @property
     def seconds(self) -> float:
         """Flight time used by the rotational estimate."""
@@ -96,22 +93,7 @@ class OnlineEstimator:
     @property
     def is_calm(self) -> bool:
         """Whether no steady wind blows."""
-        return self._thrust.is_calm(self.prior)
-
-    def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
-        """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's residual.
-
-        Noise of the rotors' inputs apart, as far as that is known.
-
-        Args:
-            fit: of this record.
-            theta: (N_THETA,) what the rotors' noise acts with.
-        """
-        return self._rotation.gyro_density(fit, theta)
-
-    def reserve(self) -> None:
-        """Have all memory now that a long flight will need; many estimators live but shortly."""
-        return self.record.reserve()
+        return self.thrust.is_calm(self.prior)
 
     def restart(self) -> None:
         """A gap: what comes next does not join on to what came before."""
@@ -153,17 +135,17 @@ class OnlineEstimator:
     def fit_thrust(self) -> Fit:
         """Thrust over mass, with lag and thrust curve of a rough fit, by the data alone."""
         self._renew_prior(afresh=True, running=True)
-        rot = self._rotation.fit(None, self.prior, rough=True)
-        return Fit(rot, self._thrust.quick(rot, self.prior)[1], self.seconds, running=True)
+        rot = self.rotation.fit(None, self.prior, rough=True)
+        return Fit(rot, self.thrust.quick(rot, self.prior)[1], self.seconds, running=True)
 
     def _full_fit(self) -> Fit:
         self._renew_prior(afresh=True)
-        rot = self._rotation.fit(None, self.prior)
-        validation = self._rotation.validate(self.prior, rot)
+        rot = self.rotation.fit(None, self.prior)
+        validation = self.rotation.validate(self.prior, rot)
         rigid_body_test = self._rigid_body_test_of(rot)
         if rigid_body_test is not None and rigid_body_test.contradicted:
             # Inertia in roll and pitch is left to determine.
-            rot = self._rotation.fit(None, self.prior, rigid=False)
+            rot = self.rotation.fit(None, self.prior, rigid=False)
         trans, accelerometer = self.fit_translation(rot)
         return Fit(
             rot,
@@ -172,12 +154,8 @@ class OnlineEstimator:
             validation,
             accelerometer,
             rigid_body_test,
-            moments=self._rotation.moments(rot),
+            moments=self.rotation.moments(rot),
         )
-
-    def other_layout(self) -> str | None:
-        """What is wrong with the airframe's layout, if another explains the motion far better."""
-        return self._rotation.other_layout()
 
     def fit_translation(
         self, at: RotationFit | None = None
@@ -187,7 +165,7 @@ class OnlineEstimator:
         Args:
             at: gives the coordinates of the basis; None: its middle.
         """
-        return self._thrust.fit(at, self.prior)
+        return self.thrust.fit(at, self.prior)
 
     def with_thrust_by(self, rotors: RotationFit | None, fit: Fit) -> Fit:
         """A fit with thrust over mass by the rotors of another one: how they lag, and are unlike.
@@ -223,7 +201,7 @@ class OnlineEstimator:
                 waiting = []
                 fits.append(self._settle(series, warm_start))
                 continue
-            waiting.append(self._rotation.instant(warm_start.rotation, warm_start.left_out))
+            waiting.append(self.rotation.instant(warm_start.rotation, warm_start.left_out))
             if self._is_outdated(warm_start):
                 fits += self._followed(warm_start, waiting)
                 waiting = []
@@ -243,14 +221,14 @@ class OnlineEstimator:
         """Quick fits at several instants, from one warm start."""
         if not instants:
             return []
-        rotations = self._rotation.follow(instants, warm_start.rotation, self.prior)
+        rotations = self.rotation.follow(instants, warm_start.rotation, self.prior)
         thrusts: Sequence[TranslationFit | None] = [None] * len(instants)
         if warm_start.thrust is not None:
-            thrusts = self._thrust.follow(instants, rotations, warm_start.thrust)
+            thrusts = self.thrust.follow(instants, rotations, warm_start.thrust)
         return [
             Fit(
                 rot,
-                self._thrust.with_slope(thrust, rot, self.prior, i),
+                self.thrust.with_slope(thrust, rot, self.prior, i),
                 i.seconds,
                 self._validation,
                 rigid_body_test=self._rigid_body_test,
@@ -265,7 +243,7 @@ class OnlineEstimator:
         """A quick fit of now with all that is renewed now and then; the next ones go on from it."""
         record, rot = self.record, fit.rotation
         assert rot is not None
-        thrust, trans = self._thrust.quick(rot, self.prior)
+        thrust, trans = self.thrust.quick(rot, self.prior)
         followed = rot if warm_start.batches != record.batches else warm_start.rotation
         self._warm_starts[series] = replace(
             warm_start, rotation=followed, thrust=thrust, batches=record.batches
@@ -278,16 +256,16 @@ class OnlineEstimator:
         """A fit that chooses whiteners and delay, as a warm start for those to come."""
         self._renew_prior(afresh=True, running=True)
         known = before if self.seconds > _WELL_KNOWN else None
-        rot = self._rotation.fit(None if known is None else known.rotation, self.prior)
-        thrust, trans = self._thrust.quick(rot, self.prior)
+        rot = self.rotation.fit(None if known is None else known.rotation, self.prior)
+        thrust, trans = self.thrust.quick(rot, self.prior)
         if rot is not None and self.record.article is None:
             settle = max(self.seconds + self._settle_interval, _SETTLE_GROWTH * self.seconds)
             self._warm_starts[series] = _SeriesStart(
-                rot, thrust, self.record.batches, settle, self._rotation.left_out
+                rot, thrust, self.record.batches, settle, self.rotation.left_out
             )
         if self.record.article is None and not series:
-            self._validation = self._rotation.validate(self.prior, rot)
-            self._other_layout = self._rotation.other_layout()
+            self._validation = self.rotation.validate(self.prior, rot)
+            self._other_layout = self.rotation.other_layout()
         return Fit(
             rot,
             trans,
@@ -296,7 +274,7 @@ class OnlineEstimator:
             rigid_body_test=self._latest_rigid_body_test(rot),
             other_layout=self._other_layout,
             running=True,
-            moments=self._rotation.moments(rot),
+            moments=self.rotation.moments(rot),
         )
 
     def _renew_prior(self, *, afresh: bool = False, running: bool = False) -> None:
@@ -304,12 +282,12 @@ class OnlineEstimator:
         if self.prior_source is None:
             return
         if afresh:
-            self._alone = self._rotation.fit(None, None)
+            self._alone = self.rotation.fit(None, None)
         thrust = self.fit_translation()[0]
         self.prior = self.prior_source(Fit(self._alone, thrust, self.seconds, running=running))
 
     def _is_rigid_body_test_due(self) -> bool:
-        return self._rotation.can_test_rigid_body and self.seconds >= self._rigid_body_test_at
+        return self.rotation.can_test_rigid_body and self.seconds >= self._rigid_body_test_at
 
     def _latest_rigid_body_test(self, fit: RotationFit | None) -> RigidBodyTest | None:
         due = self._is_rigid_body_test_due()
@@ -317,8 +295,8 @@ class OnlineEstimator:
 
     def _rigid_body_test_of(self, fit: RotationFit | None) -> RigidBodyTest | None:
         """Whether the body is rigid; None while undecided."""
-        if fit is None or not self._rotation.can_test_rigid_body:
+        if fit is None or not self.rotation.can_test_rigid_body:
             return None
         self._rigid_body_test_at = _SETTLE_GROWTH * self.seconds
-        self._rigid_body_test = self._rotation.test_rigid_body(fit)
+        self._rigid_body_test = self.rotation.test_rigid_body(fit)
         return self._rigid_body_test

@@ -236,6 +236,8 @@ class RotationEstimator:
     def gyro_density(self, fit: RotationFit, theta: Array) -> Array:
         """(3, 3) two-sided density of gyro noise, rad^2/s, that leaves a fit's innovations.
 
+        Noise of the rotors' inputs apart, as far as that is known.
+
         Args:
             fit: of this record.
             theta: (N_THETA,) what the rotors' noise acts with.

@@ -173,7 +173,7 @@ class FlightRecord:
         self.accelerometer = NormalEquations((width + 2, width + 2), per_batch, kept)
 
     def reserve(self) -> None:
-        """Have all memory now that a long flight will need."""
+        """Have all memory now that a long flight will need; many records live but shortly."""
         for moments in (self.rotation, self.momentum, self.accelerometer):
             moments.reserve()
         if self._of_speeds is not None:
@@ -348,11 +348,6 @@ class FlightRecord:
     def mean_thrust(self) -> MeanThrust | None:
         """By commands; None without motors for them."""
         return None if self.commands is None else self.commands.mean_thrust
-
-    @property
-    def speed_std(self) -> Array:
-        """(rotors,) rad/s, noise of the rotor speeds (or of commands, 1)."""
-        return self.input_noise.std
 
     @property
     def noise_doubt(self) -> float:
