@@ -137,7 +137,7 @@ def test_rows_about_any_motors_are_of_the_same_samples():
         basis = LocalDynamics(np.array([delay, lag, 0.4, 0.0, 0.0]), "speed", DT)
         maker = MotorRows(GEOMETRY, DT, basis, HOVER)
         rows = maker.update(commands, gyro, rates)
-        return rows[np.isfinite(rows).all(axis=1)][:, -3:], maker.samples_a_row
+        return rows[np.isfinite(rows).all(axis=1)][:, -3:], maker.step.step
 
     every = [changes(delay, 0.03) for delay in (-0.03, -0.012, -0.004, 0.0, 0.02)]
     every.append(changes(0.0, 0.06))

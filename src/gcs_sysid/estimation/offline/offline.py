@@ -90,7 +90,7 @@ def fit_offline(
         estimated = estimate(
             rows,
             before,
-            estimator.record.noise_doubt,
+            estimator.record.input_noise.doubt,
             estimator.prior,
             choice,
             calm=estimator.is_calm,

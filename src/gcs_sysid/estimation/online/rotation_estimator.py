@@ -115,7 +115,7 @@ class RotationEstimator:
         if not rigid:
             data = replace(data, muted=tuple(basis.body_places(PRODUCTS)))
         hover = 0.0 if self._thrust.is_calm(prior) else self._hover
-        known = prior, record.noise_doubt, record.choice, hover
+        known = prior, record.input_noise.doubt, record.choice, hover
 
         def fitted(first: RotationFit | None) -> WhitenedFit | None:
             near = first or start

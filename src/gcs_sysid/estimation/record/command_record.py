@@ -154,7 +154,7 @@ class TunedRows:
 
         So does the number of rows, as slower motors take longer until their past is forgotten.
         """
-        rows = self.samples / self.maker.samples_a_row
+        rows = self.samples / self.maker.step.step
         return 0.5 * rows * float(np.log(self._power.min(axis=0) / self.white.rows).sum())
 
     @property

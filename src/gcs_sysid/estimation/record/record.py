@@ -331,7 +331,7 @@ class FlightRecord:
         basis = copy(self.basis)
         basis.lag_place = place
         data = self.window.moments(self._window_noise())
-        found = fit_whitened(data, basis, doubt=self.noise_doubt)
+        found = fit_whitened(data, basis, doubt=self.input_noise.doubt)
         return None if found is None else found.rotation
 
     @property
@@ -348,11 +348,6 @@ class FlightRecord:
     def mean_thrust(self) -> MeanThrust | None:
         """By commands; None without motors for them."""
         return None if self.commands is None else self.commands.mean_thrust
-
-    @property
-    def noise_doubt(self) -> float:
-        """Relative standard deviation of `whitened_noise`."""
-        return self.input_noise.doubt
 
     def _window_noise(self, some: Sequence[int] | None = None) -> Array:
         """(leaks, width, width) what known noise of the inputs adds to a row of the window."""

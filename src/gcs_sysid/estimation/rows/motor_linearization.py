@@ -206,12 +206,13 @@ class MotorRows:
         self._thrusts = np.zeros(self._points)
         at_hover, by_curve = self._drive(np.array(hover))
         self._hover, self._hover_by_curve = max(float(at_hover), _LEAST), float(by_curve)
-        self._step = step_of(dt)
+        self.step = step_of(dt)
+        """Of rows."""
         before, after = basis.late_by - basis.spacing, basis.late_by + basis.spacing
         # Rows about any motors are of the same samples, and so of the same noise: whole steps, and
         # from the same sample on.
         self._past, self._ahead = -min(before, 0), max(after, 0)
-        self._past += -self._past % self._step.step
+        self._past += -self._past % self.step.step
         self._settling = int(np.ceil(_SETTLED / dt)) + before
         self._shifts = (basis.late_by, before, after)
         self.restart()
@@ -221,18 +222,13 @@ class MotorRows:
         """Of the samples so far; it does not change with those that come."""
         return MeanThrust(self._basis, self._thrusts)
 
-    @property
-    def samples_a_row(self) -> int:
-        """How far rows are apart."""
-        return self._step.step
-
     def restart(self) -> None:
         """What comes next does not join on to what came before."""
         self._state: Array | None = None
         self._last: Array = np.empty(0)
         self._wait = 0
         self._held: Array | None = None
-        self._step.restart()
+        self.step.restart()
 
     def update(self, inputs: Array, gyro: Array, rates: Array) -> Array:
         """(m, width) rows that (n, rotors) commands, (n, 3) gyro and rates in rad/s complete."""
@@ -259,7 +255,7 @@ class MotorRows:
         gyro, rates = timeline[now, -6:-3], timeline[now, -3:]
         products = rotors[..., -1:] * rates[:, None, 1::-1]
         flat = rotors.reshape(-1, sets * SIGNALS)
-        rows = self._step.update(
+        rows = self.step.update(
             np.column_stack(
                 [
                     flat,
