@@ -207,12 +207,11 @@ def hover_of(airframe, strengths, rng):
     force = np.tile([0.0, 0.0, -9.81], (n, 1)) + 0.01 * rng.standard_normal((n, 3))
     turning = 0.01 * rng.standard_normal((n, 3))
     zeros = np.zeros((n, 3))
-    ends = np.full(rotors, np.nan)
     return Windows(
         t=0.5 * np.arange(n), half=0.5, rates=zeros, turning=turning, products=zeros, force=force,
         lift=np.full(n, 9.81), sink=nothing, speed=nothing, speeds=speeds, commands=commands,
         squares=commands, jitter=np.full((n, rotors, 2), np.nan), lag=0.0,
-        hovering=np.ones(n, bool), high=ends, low=ends,
+        hovering=np.ones(n, bool),
     )  # fmt: skip
 
 

@@ -237,9 +237,7 @@ def test_what_becomes_known_later_is_added():
 
 
 def test_a_gyro_that_contradicts_the_attitude_limits_what_rests_on_it():
-    sound = GyroAgainstAttitude(
-        np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1), 40.0
-    )
+    sound = GyroAgainstAttitude(np.eye(3), np.full((3, 3), 0.001), np.zeros(3), np.full(3, 0.1))
     assert judge(flight(gyro=sound)) == judge(flight())
     found = judge(flight(gyro=replace(sound, gain=0.5 * np.eye(3))))
     assert found.verdict == "partial"

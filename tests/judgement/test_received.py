@@ -52,7 +52,7 @@ def test_rotors_are_blamed_only_where_something_was_flown(share):
 
 def test_rotors_are_not_blamed_for_an_imu_that_is_logged_in_its_boards_axes():
     half_turn, small = np.diag([1.0, -1.0, -1.0]), np.full((3, 3), 0.001)
-    turned = GyroAgainstAttitude(half_turn, small, np.zeros(3), np.full(3, 0.1), 40.0)
+    turned = GyroAgainstAttitude(half_turn, small, np.zeros(3), np.full(3, 0.1))
     found = judge(replace(NOTHING, fit=Fit(None, None, 40.0), gyro=turned))
     assert found.verdict == "refused"
     (reason,) = found.reasons

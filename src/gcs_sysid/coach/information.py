@@ -70,7 +70,6 @@ class Craft:
         thrust: sum of the rotors' Omega^2 in hover; of T / T_max with commands.
         rotor_input: what drives it.
         most: greatest thrust of a rotor over its mean hover share; None: not known.
-        curve: thrust curve with commands, see `estimation.rows.actuator_dynamics`.
     """
 
     geometry: Array
@@ -78,7 +77,6 @@ class Craft:
     thrust: float
     rotor_input: RotorInput = RotorInput.SPEED
     most: float | None = None
-    curve: float = 1.0
 
     @property
     def mean_share(self) -> float:
@@ -467,12 +465,7 @@ def predicted_information(
         theta = prior_vehicle.craft.theta
     coordinates = unknowns[COORDINATES].copy()
     coordinates[Coordinate.LAG] = max(coordinates[Coordinate.LAG], 0.0)
-    craft = replace(
-        prior_vehicle.craft,
-        theta=theta,
-        thrust=GRAVITY / kappa,
-        curve=float(coordinates[Coordinate.CURVE]),
-    )
+    craft = replace(prior_vehicle.craft, theta=theta, thrust=GRAVITY / kappa)
     return PredictedInformation(fit, craft, noise, information, freedom, coordinates, free, kappa)
 
 

@@ -107,8 +107,6 @@ class Windows:
             commands and squares: its variance is that of the means by sampling alone.
         lag: s, time constant of the rotors, which `commands` and `squares` have passed.
         hovering: (n,) whether the balances of a hover may be drawn.
-        high: (rotors,) highest command in flight, as sampled; NaN without commands.
-        low: (rotors,) lowest.
     """
 
     t: Array
@@ -126,8 +124,6 @@ class Windows:
     jitter: Array
     lag: float
     hovering: Mask
-    high: Array
-    low: Array
 
     @property
     def seconds(self) -> float:
@@ -142,7 +138,7 @@ class Windows:
 
     def part(self, rows: Mask | slice) -> "Windows":
         """Some of the windows."""
-        of_all = ("half", "lag", "high", "low")
+        of_all = ("half", "lag")
         return replace(self, **{n: v[rows] for n, v in vars(self).items() if n not in of_all})
 
     def starting_at(self, share: float) -> "Windows":
@@ -183,11 +179,6 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
         )
     )
     hovering = _hovering(inertial[:, :3], turning, lift, force, speed)
-    high = low = np.full(rotors, np.nan)
-    if streams.commands is not None and len(t):
-        spans = [v[_inside(times, t, half)] for times, v in streams.commands.samples]
-        if all(len(v) for v in spans):
-            high, low = (np.array([float(of(v)) for v in spans]) for of in (np.max, np.min))
     return Windows(
         t,
         half,
@@ -204,17 +195,7 @@ def windows_of(streams: Streams, rotors: int) -> Windows:
         jitter,
         lag,
         hovering,
-        high,
-        low,
     )
-
-
-def _inside(times: Array, t: Array, half: float) -> Mask:
-    """(n,) which samples lie within half of a window's center."""
-    i = np.clip(np.searchsorted(t, times), 1, max(len(t) - 1, 1))
-    near = np.minimum(np.abs(times - t[i - 1]), np.abs(times - t[np.minimum(i, len(t) - 1)]))
-    inside: Mask = near <= half
-    return inside
 
 
 class Averager:

@@ -91,14 +91,12 @@ class GyroAgainstAttitude:
         bias: (3,) rad/s that the gyro reads too much.
         turned: (3,) rms, rad, of what the attitude turned in an interval; 0 where its noise may
             make most of that.
-        seconds: of flight that were compared.
     """
 
     gain: Array
     std: Array
     bias: Array
     turned: Array
-    seconds: float
 
 
 class GyroCheck:
@@ -186,7 +184,7 @@ def _compared(ends: Array) -> GyroAgainstAttitude | None:
     gain, std = gain + half, np.hypot(np.sqrt(variances[:, :3]), half)
     bias = value[:, 3]
     turned = np.where(_noise_share(phi) < RULES.noisy, np.sqrt((phi**2).mean(axis=0)), 0.0)
-    return GyroAgainstAttitude(gain, std, bias, turned, float(dt[small].sum()))
+    return GyroAgainstAttitude(gain, std, bias, turned)
 
 
 def _noise_share(phi: Array) -> Array:

@@ -49,8 +49,6 @@ class EntryType:
     """One type of entry, as its FMT describes it."""
 
     name: str
-    size: int
-    """Bytes, header included."""
     letters: str
     columns: tuple[str, ...]
 
@@ -299,7 +297,7 @@ class DataflashLog:
             return
         self._sizes[number] = size
         self._search.forget()  # what was found was found without it
-        self._types[number] = EntryType(name, size, letters, columns)
+        self._types[number] = EntryType(name, letters, columns)
         rows = self._rows[number] = _EntryRows(self._laid_out(self._types[number]))
         rows.columns = {column: bytearray() for column in rows.layout}
         places[number] = rows.places
