@@ -186,14 +186,14 @@ def judge(
     last = age_index == len(TUNING.ages) - 1
     if window.after < 6 or window.at < 10 or not np.isfinite(reference.matrix).any():
         return Classification("disturbance" if last else "undecided", onset, Cause("passing"))
-    trial = _StepTrial(window, reference, history)
+    trial = StepTrial(window, reference, history)
     cause, sure = trial.best(TUNING.sure[age_index], last=last)
     onset = window.time_of(trial.at)
     if sure and decide:
         return Classification("changed", onset, cause)
     if decide and trial.may_be_mass() and (calm := window.calm()) is not None:
         # A payload dropped in a punch-out shows in the calm flight before and since.
-        later = _StepTrial(calm, reference, history)
+        later = StepTrial(calm, reference, history)
         cause_since, holds = later.best(TUNING.sure[age_index], last=last)
         if holds and cause_since.kind != "rotor_failure":
             settled = calm.time_of(later.at)
@@ -205,25 +205,14 @@ def judge(
     )
 
 
-def likeliest_step(
-    window: AlarmWindow,
-    reference: Reference,
-    history: ResidualHistory,
-    places: Sequence[int],
-) -> int:
-    """The index of the mean with which a step of a window is likeliest to begin.
+class StepTrial:
+    """The hypotheses on one window.
 
     Args:
         window: of the means.
         reference: of its residuals.
         history: of the flight before it.
-        places: indices of means with which it may begin.
-    """
-    return _StepTrial(window, reference, history, places).at
-
-
-class _StepTrial:
-    """The hypotheses on one window.
+        places: indices of means with which a step may begin; none: those around the alarm.
 
     Attributes:
         at: index of the mean with which the likeliest step begins.

@@ -16,7 +16,7 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.changes.change_detection import ChangeTuning, Channel, FrameTest
-from gcs_sysid.estimation.changes.change_hypotheses import Classification, judge, likeliest_step
+from gcs_sysid.estimation.changes.change_hypotheses import Classification, StepTrial, judge
 from gcs_sysid.estimation.changes.change_reference import (
     N_X,
     TOTAL,
@@ -297,7 +297,7 @@ def early_change(
     if not len(places):
         return None
     nothing = ResidualHistory(np.full(4, np.nan), np.empty((0, 4)), window.step)
-    at = likeliest_step(window, reference, nothing, places.tolist())
+    at = StepTrial(window, reference, nothing, places.tolist()).at
     onset = _sharp(t, samples, dt, reference, window.time_of(at))
     seen = [k for k, age in enumerate(TUNING.ages) if t[-1] - onset >= age - 0.5 * dt]
     # Thrust over mass by the flight before, as of any other reference.
