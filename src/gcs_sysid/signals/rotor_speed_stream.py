@@ -47,25 +47,8 @@ class _Stillness:
         self._share = 1.0
         """Of repeats, up to `since`; all, until the stream has shown that they are rare in it."""
 
-    def is_still(self, t: float, values: Array) -> bool:
-        """Take a message; whether its values are old."""
-        if not np.array_equal(values, self._last):
-            if not self.stands:
-                faded = _FRESH**self._repeats
-                self._share = faded * self._share + 1.0 - faded
-            self._share *= _FRESH
-            self.since, self._last, self._repeats = t, values, 0
-            self.suspected = self.stands = False
-            return False
-        self._repeats += 1
-        self.suspected = self._share < _RARELY
-        long = self._repeats >= _FEWEST and t - self.since >= _STANDS
-        # Motors do stand on the ground.
-        self.stands = bool(long and self.suspected and values.any())
-        return self.stands
-
     def follow(self, t: Array, values: Array) -> "_Followed":
-        """As `take` for (n,) times and (n, rotors) values, up to the first old ones."""
+        """Of (n,) times and (n, rotors) values, up to the first old ones."""
         new = np.ones(len(t), dtype=bool)
         new[0] = not np.array_equal(values[0], self._last)
         new[1:] = (values[1:] != values[:-1]).any(axis=1)
@@ -84,14 +67,15 @@ class _Stillness:
         since = np.where(known, t[latest], self.since)
         share = np.where(known, shares[latest], self._share)
         suspected = (repeats > 0) & (share < _RARELY)
+        # Motors do stand on the ground.
         old = suspected & (repeats >= _FEWEST) & (t - since >= _STANDS) & values.any(axis=1)
         old |= self.stands & ~known
         return _Followed(since, suspected, repeats, share, old)
 
     def go_on(self, followed: "_Followed", values: Array) -> None:
-        """Stand where messages, none of them old, have led."""
+        """Stand where messages, none but the last of them old, have led."""
         self.since, self._last = float(followed.since[-1]), values[-1].copy()
-        self.suspected, self.stands = bool(followed.suspected[-1]), False
+        self.suspected, self.stands = bool(followed.suspected[-1]), bool(followed.old[-1])
         self._repeats, self._share = int(followed.repeats[-1]), float(followed.share[-1])
 
 
@@ -145,12 +129,13 @@ class RotorBuffer(StreamBuffer):
     def _extend_by_one(self, t: Array, values: Array) -> None:
         for row in range(len(t)):
             some = slice(row, row + 1)
-            if t[row] > self._newest and self._stillness.is_still(
-                float(t[row]), values[row].copy()
-            ):
-                self.still += 1 + self._drop_after(self._stillness.since)
-            else:
-                super().extend(t[some], values[some])
+            if t[row] > self._newest:
+                followed = self._stillness.follow(t[some], values[some])
+                self._stillness.go_on(followed, values[some])
+                if followed.old[0]:
+                    self.still += 1 + self._drop_after(self._stillness.since)
+                    continue
+            super().extend(t[some], values[some])
 
     def look(self, ticks: int = 1) -> None:
         """As of `StreamBuffer`."""

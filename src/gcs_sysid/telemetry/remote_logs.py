@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import BinaryIO, NamedTuple
 
 from gcs_sysid.errors import LinkError
 from gcs_sysid.telemetry.frame_block import FrameBlock
@@ -128,24 +128,6 @@ class Exchange:
         return [f for f in frames if f.valid is Validity.OK and self._selector.is_chosen(f)]
 
 
-class _Way(Protocol):
-    """A way to read one log."""
-
-    block: int
-    """Bytes that come together."""
-    at_once: int
-    """Blocks that are asked for at a time."""
-
-    def ask(self, offset: int, size: int) -> None:
-        """Ask for bytes from an offset on."""
-
-    def block_in(self, frame: Frame) -> tuple[int, bytes] | None:
-        """Offset and bytes of a block, where an answer is one."""
-
-    def close(self) -> None:
-        """End the reading: while it lasts, some record nothing, or serve one reader alone."""
-
-
 class RemoteLogs:
     """The logs of one vehicle."""
 
@@ -181,14 +163,18 @@ class RemoteLogs:
             LinkError: nothing came any more; what came is in the file.
         """
         address = self._exchange.vehicle().address
-        way: _Way = (_Files if log.path else _Messages)(self._exchange, address, log)
+        way = (_Files if log.path else _Messages)(self._exchange, address, log)
         try:
             self._complete(way, log.size, file, progress)
         finally:
             way.close()
 
     def _complete(
-        self, way: _Way, size: int, file: BinaryIO, progress: Callable[[float], None] | None
+        self,
+        way: "_Messages | _Files",
+        size: int,
+        file: BinaryIO,
+        progress: Callable[[float], None] | None,
     ) -> None:
         # Its last block shows whether the file is of this log.
         at = max(min(file.seek(0, 2), size) - way.block, 0) // way.block * way.block
@@ -208,7 +194,7 @@ class RemoteLogs:
                 progress(at / size)
         file.truncate(size)
 
-    def _window(self, way: _Way, start: int, end: int, size: int) -> bytes:
+    def _window(self, way: "_Messages | _Files", start: int, end: int, size: int) -> bytes:
         """Bytes from `start` to `end` of a log of `size` bytes, whole."""
         got: dict[int, bytes] = {}
         missing, clock = list(range(start, end, way.block)), self._exchange.clock
@@ -236,6 +222,7 @@ class _Messages:
     """LOG_REQUEST_LIST and LOG_REQUEST_DATA."""
 
     block, at_once = 90, 128
+    """Bytes that come together, and how often that is asked for at a time."""
 
     def __init__(
         self, exchange: Exchange, address: tuple[int, int], log: RemoteLog | None = None
@@ -269,6 +256,7 @@ class _Messages:
         return (offset, bytes(data[:count])) if number == self._log.number else None
 
     def close(self) -> None:
+        """End the reading: while it lasts, some record nothing, or serve one reader alone."""
         self._exchange.gate.end_log_requests(self._address)
 
 
