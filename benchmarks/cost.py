@@ -24,7 +24,7 @@ from sim_bridge.missions import MISSIONS
 from sim_bridge.simulated_vehicle import stack_vehicles
 from sim_bridge.vehicle_files import load_vehicle
 from testbed.article_flights import GEOMETRY, fly, measure
-from testbed.recordings import block_of
+from testbed.recordings import block_of, in_sequence
 from testbed.study import arguments, free_port, run
 
 RATE = 250
@@ -105,7 +105,7 @@ def health_share(folder: Path, seconds: float = 160.0) -> float:
     hover = [*FLIGHT[:2], "--mission", "hover", *FLIGHT[4:], "--duration", str(seconds)]
     cost_of("sim_bridge", *hover, "--speed", "max", "--tlog", str(log))
     intake = Intake()
-    records = intake.frames(frame for _, frame in TlogReader(log))
+    records = in_sequence(intake.frames(frame for _, frame in TlogReader(log)))
     watch, airframe = HoverWatch(intake, "link"), load_airframe("paper")
     size = max(round(0.02 * len(records) / seconds), 1)
     blocks = [block_of(records[i : i + size]) for i in range(0, len(records), size)]

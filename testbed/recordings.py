@@ -13,6 +13,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -108,9 +109,21 @@ def block_of(records: Iterable[Record]) -> RecordBlock:
     return collector.block()
 
 
+def in_sequence(block: RecordBlock) -> list[Record]:
+    """The records of a block one by one, in the order in which they came."""
+    made = [*block.parameters]
+    for track in block.tracks:
+        rows = zip(track.order.tolist(), track.t.tolist(), track.values.tolist(), strict=True)
+        made += [
+            (order, Record(track.stream, t, tuple(values), track.offset, track.source))
+            for order, t, values in rows
+        ]
+    return [record for _, record in sorted(made, key=itemgetter(0))]
+
+
 def records_of(log: logs.Log) -> list[Record]:
-    """The records of a log one by one, in the order in which they came."""
-    return [record for block in log.blocks() for _, record in block.records()]
+    """The same of a log."""
+    return [record for block in log.blocks() for record in in_sequence(block)]
 
 
 def columns_of(log: logs.Log) -> dict[tuple[Stream, str], tuple[Array, Array]]:

@@ -26,6 +26,7 @@ from gcs_sysid.signals.records import Record
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import TlogReader
 from sim_bridge.cli import main as sim_bridge
+from testbed.recordings import in_sequence
 
 # The same examples in every run. Not all that is drawn must hold: of one damaged frame in 65 536
 # the CRC is right by chance.
@@ -89,7 +90,7 @@ class Flight:
 
     def records(self) -> list[Record]:
         """What the recording's frames say, as the chain takes it."""
-        return Intake().frames(frame for _, frame in TlogReader(self.tlog))
+        return in_sequence(Intake().frames(frame for _, frame in TlogReader(self.tlog)))
 
 
 @pytest.fixture(scope="session")

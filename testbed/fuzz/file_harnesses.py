@@ -31,6 +31,7 @@ from gcs_sysid.telemetry.ulog import read_ulog
 from gcs_sysid.telemetry.urls import parse_url
 from sim_bridge.swings import read_plan
 from testbed.fuzz.harness import Scratch, one_line_errors
+from testbed.recordings import in_sequence
 from testbed.ros_bags import mavros_bag, px4_bag
 
 _ulg, _bin, _bbl = Scratch(".ulg"), Scratch(".bin"), Scratch(".bbl")
@@ -45,7 +46,7 @@ def check_recording(recording: Recording) -> None:
         assert np.isfinite(track.t).all()
         assert (np.diff(track.t) >= 0.0).all()
         assert len(track.t) == len(track.values) == len(track.order)
-    for _, record in block.records():
+    for record in in_sequence(block):
         assert np.isfinite(record.t)
     assert all(np.isfinite(value) for _, _, value in recording.parameters)
 

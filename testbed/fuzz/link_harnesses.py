@@ -35,6 +35,7 @@ from sim_bridge.wire import FrameWriter
 from testbed.fuzz.harness import Bytes, Scratch, one_line_errors
 from testbed.fuzz.references import checksum, frames_of_log, frames_of_stream
 from testbed.payloads import unpack
+from testbed.recordings import in_sequence
 from testbed.signer import Signer
 
 _TYPES = (
@@ -209,9 +210,9 @@ def check_records(data: bytes) -> None:
     log = as_log(frames_of(Bytes(data)))
     block, _ = Scanner().scan(log, final=True)
     single, many = Intake(), Intake()
-    records = [record for _, frame in block for record in single.frames([frame])]
+    records = [record for _, frame in block for record in in_sequence(single.frames([frame]))]
     made = many.block(block)
-    assert _comparable([record for _, record in made.records()]) == _comparable(records)
+    assert _comparable(in_sequence(made)) == _comparable(records)
     assert many.clock == single.clock
     assert many.parameters == single.parameters
     assert many.fates == single.fates

@@ -9,6 +9,7 @@ from benchmarks.reliability import day, soak
 from gcs_sysid.model.estimate import Estimate
 from gcs_sysid.telemetry.intake import Intake
 from testbed.ground_cycles import emulate
+from testbed.recordings import in_sequence
 from testbed.repeated import frames_of
 
 
@@ -26,7 +27,7 @@ def flight(recording):
 
 def sent(replayer, flight, times, intake):
     blocks = [part for _ in range(times) for part in replayer.send(flight, 0.0, 2.0)]
-    return [record for part in blocks for _, record in intake.block(part).records()]
+    return [record for part in blocks for record in in_sequence(intake.block(part))]
 
 
 def test_what_is_sent_again_goes_on_over_the_wraps(flight):

@@ -18,6 +18,7 @@ from gcs_sysid.telemetry.messages import MESSAGE_IDS
 from gcs_sysid.telemetry.monitor import SequenceCount
 from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.tlog_writer import reset_mark
+from testbed.recordings import in_sequence
 from tests.telemetry.conftest import random_message
 
 START = 1_750_000_000_000_000
@@ -165,7 +166,7 @@ def singly(block):
 
 def told(made):
     """Records and events of blocks."""
-    records = [record for block in made for _, record in block.records()]
+    records = [record for block in made for record in in_sequence(block)]
     return comparable(records), [event for block in made for _, event in block.events]
 
 

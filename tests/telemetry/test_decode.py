@@ -10,6 +10,7 @@ from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.frame_block import FrameBlock
 from gcs_sysid.telemetry.track_collector import TrackCollector
+from testbed.recordings import in_sequence
 
 ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 NAN = float("nan")
@@ -30,7 +31,7 @@ class OneByOne:
         if frame.message_id in STATE_IDS:
             now = float(taken.moments.now[-1])
             return self.inner.take_state(frame, now)
-        return next((record for _, record in out.block().records()), None)
+        return next(iter(in_sequence(out.block())), None)
 
 
 @pytest.fixture

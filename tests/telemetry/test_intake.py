@@ -13,6 +13,7 @@ from gcs_sysid.telemetry.frames import FrameScanner
 from gcs_sysid.telemetry.intake import Intake
 from gcs_sysid.telemetry.tlog import TlogReader
 from gcs_sysid.telemetry.vehicles import VehicleSelector
+from testbed.recordings import in_sequence
 
 
 def ground_station(make_sender):
@@ -65,7 +66,7 @@ def test_records_come_from_the_chosen_vehicle_alone(make_sender):
     frames = [vehicle.imu(0.9), vehicle.heartbeat(), other.heartbeat()]
     for i in range(10):
         frames += [vehicle.imu(1.0 + 0.004 * i), other.imu(50.0 + 0.004 * i)]
-    records = intake.frames(frames)
+    records = in_sequence(intake.frames(frames))
     assert [r.t for r in records if r.stream is Stream.IMU] == pytest.approx(
         [1.0 + 0.004 * i for i in range(10)]
     )
@@ -86,7 +87,7 @@ def stray_and_vehicle(make_sender, seconds, before=()):
 
 def test_a_stray_heartbeat_is_not_the_vehicle_for_long(make_sender):
     intake = Intake()
-    records = intake.frames(stray_and_vehicle(make_sender, 5.0))
+    records = in_sequence(intake.frames(stray_and_vehicle(make_sender, 5.0)))
     assert intake.vehicle.address == (1, 1)
     times = [record.t for record in records if record.stream is Stream.IMU]
     assert times == pytest.approx(7.0 + 0.01 * np.arange(300))  # from its third heartbeat on
@@ -233,7 +234,7 @@ def test_damaged_and_unknown_frames_are_counted_and_make_no_records(sender):
     unknown[7:10] = (60_999).to_bytes(3, "little")
     data = sender.heartbeat().raw + damaged + unknown + sender.imu(1.1).raw
     intake = Intake()
-    records = intake.frames([*scanner.feed(data), *scanner.flush()])
+    records = in_sequence(intake.frames([*scanner.feed(data), *scanner.flush()]))
     assert [record.t for record in records] == [pytest.approx(1.1)]
     health = intake.health()
     assert [health[key] for key in ("received", "rejected", "unknown")] == [2, 1, 1]
@@ -255,7 +256,7 @@ def test_damaged_and_unknown_frames_are_counted_and_make_no_records(sender):
 def test_recorded_flights_give_their_streams_and_lost_nothing(shared_logs, name, vehicle, streams):
     intake = Intake()
     frames = (f for _, (_, f) in zip(range(40_000), TlogReader(shared_logs / name), strict=False))
-    records = intake.frames(frames)
+    records = in_sequence(intake.frames(frames))
     assert str(intake.vehicle) == vehicle
     assert {record.stream for record in records} == streams
     assert intake.monitor.lost_percent < 0.05
@@ -276,7 +277,7 @@ def test_of_frames_that_come_again_over_a_second_radio_one_counts(sender, piece)
         records = [
             record
             for first in range(0, len(frames), piece)
-            for record in intake.frames(frames[first : first + piece])
+            for record in in_sequence(intake.frames(frames[first : first + piece]))
         ]
         found.append(records)
         assert intake.decoder.clock.reboots == 0

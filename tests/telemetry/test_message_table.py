@@ -15,7 +15,7 @@ from gcs_sysid.telemetry.logs import open_log
 from gcs_sysid.telemetry.message_table import MESSAGES, STAMP_FIELDS, Message, Stamp
 from gcs_sysid.telemetry.messages import LAYOUTS, MESSAGE_IDS
 from gcs_sysid.telemetry.tlog_writer import TlogWriter
-from testbed.recordings import records_of
+from testbed.recordings import in_sequence, records_of
 
 AXES = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
 MILLI = (1e-3, 1e-3, 1e-3, 9.80665e-3, 9.80665e-3, 9.80665e-3)
@@ -69,7 +69,7 @@ def live(frames, cuts):
     data = b"".join(frame.raw for frame in frames)
     while at < len(data):
         size = cuts()
-        records += intake.frames(scanner.feed(data[at : at + size]), 1.0 + at)
+        records += in_sequence(intake.frames(scanner.feed(data[at : at + size]), 1.0 + at))
         at += size
     return records
 
@@ -102,8 +102,8 @@ def test_the_best_of_those_that_tell_the_same_is_taken(sender, monkeypatch):
     frames = frames_of(sender, make)
     better = sender.imu(6.001)
     half = 2 + 2 * 251
-    times = [r.t for r in Intake().frames(frames) if r.stream is Stream.IMU]
-    fewer = Intake().frames([*frames[:half], better, *frames[half:]])
+    times = [r.t for r in in_sequence(Intake().frames(frames)) if r.stream is Stream.IMU]
+    fewer = in_sequence(Intake().frames([*frames[:half], better, *frames[half:]]))
     left_out = set(times) - {r.t for r in fewer if r.stream is Stream.IMU}
     assert min(left_out) == pytest.approx(6.02)
     assert max(left_out) == pytest.approx(7.0)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.records import Record, Stream
 
-_ROWS_AT_ONCE = 4096
-
 Key = tuple[Stream, str, int]
 """Key of a stream: stream, source, first rotor."""
 
@@ -53,13 +51,6 @@ class Track:
             self.order[rows],
         )
 
-    def records(self) -> Iterator[Record]:
-        """One by one, without holding them all."""
-        for start in range(0, len(self.t), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
-            for t, values in zip(self.t[rows].tolist(), self.values[rows].tolist(), strict=True):
-                yield Record(self.stream, t, tuple(values), self.offset, self.source)
-
     def between(self, first: int, stop: int) -> "Track":
         """The samples with orders from `first` to before `stop`."""
         return self.part(slice(*np.searchsorted(self.order, (first, stop)).tolist()))
@@ -94,17 +85,6 @@ class RecordBlock:
 
     def __len__(self) -> int:
         return sum(len(track.t) for track in self.tracks) + len(self.parameters)
-
-    def records(self) -> Iterator[tuple[int, Record]]:
-        """(order, record) one by one, in order, without holding them all."""
-        orders_of_parameters = np.array([number for number, _ in self.parameters], np.int64)
-        orders = [orders_of_parameters, *(track.order for track in self.tracks)]
-        rows = [(r for _, r in self.parameters), *(track.records() for track in self.tracks)]
-        order = np.concatenate(orders)
-        sorting = np.argsort(order, kind="stable")
-        owner = np.repeat(np.arange(len(rows)), [len(part) for part in orders])[sorting]
-        for number, index in zip(order[sorting].tolist(), owner.tolist(), strict=True):
-            yield number, next(rows[index])
 
     def windows(self, imu_samples: int | None = None) -> Iterator["RecordBlock"]:
         """Parts that follow each other.

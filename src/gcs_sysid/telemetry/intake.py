@@ -9,7 +9,7 @@ import numpy as np
 from gcs_sysid.arrays import Array, Mask
 from gcs_sysid.signals.columns import IntakeEvent, RecordBlock, Track
 from gcs_sysid.signals.motor_order import MotorOrder
-from gcs_sysid.signals.records import Record, Stream
+from gcs_sysid.signals.records import Stream
 from gcs_sysid.telemetry.clock import ClockDrift, Stamp
 from gcs_sysid.telemetry.decode import STATE_IDS, RecordDecoder
 from gcs_sysid.telemetry.dialect import mavlink
@@ -113,16 +113,14 @@ class Intake:
         """The latest time on the vehicle's clock, s."""
         return self.decoder.clock.now
 
-    def frames(self, frames: Iterable[Frame], wall: float | None = None) -> list[Record]:
-        """Take frames in the order received; the records they make.
-
-        `take_events` reports what happened on the way.
+    def frames(self, frames: Iterable[Frame], wall: float | None = None) -> RecordBlock:
+        """As `block`, of frames in the order received; `take_events` returns the events too.
 
         `wall` is when they came, s, of any clock that runs on evenly; None: not known.
         """
         block = self.block(FrameBlock.of(frames, wall))
         self._events += [event for _, event in block.events]
-        return [record for _, record in block.records()]
+        return block
 
     def block(self, frames: FrameBlock) -> RecordBlock:
         """Take frames, few or many: how they are cut into blocks does not matter.
