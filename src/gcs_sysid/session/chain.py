@@ -391,6 +391,11 @@ class Chain:
         return self.anchors[-1]
 
     @property
+    def used_seconds(self) -> float:
+        """Flight time used by the latest estimate."""
+        return self.fit.seconds
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """Event log, the latest last."""
         return self.log.notes
