@@ -79,10 +79,12 @@ def test_what_falls_climbs_or_turns_stands_on_nothing(force, rate):
     assert not stood(steps, force + 0.0 * T, rate).any()
 
 
-@pytest.mark.parametrize(("answers", "stands"), [(0.1, True), (2.0, False)])
+@pytest.mark.parametrize(("answers", "stands"), [(0.1, True), (2.0, False), (0.0, False)])
 def test_what_does_not_turn_as_its_rotors_differ_stands_at_constant_thrust(answers, stands):
-    geometry = load_airframe("px4-quad-x").geometry
-    speeds = 1.0 + 0.05 * np.sin(4.0 * T)[:, None] * np.sign(geometry[1])
+    """But where noise of their readings alone makes them differ."""
+    geometry, rng = load_airframe("px4-quad-x").geometry, np.random.default_rng(1)
+    sway = np.outer(np.sin(4.0 * T), np.sign(geometry[1]))
+    speeds = 1.0 + 0.05 * (sway if answers else rng.standard_normal(sway.shape))
     rates = np.outer(answers * G * 0.1 * np.cos(4.0 * T) / 4.0, [1.0, 0.0, 0.0])
     thrust = np.column_stack([np.full(len(T), 4e5), np.full(len(T), np.nan)])
     found = GroundTest(geometry).update(T, G + 0.0 * T, rates, thrust, speeds) < 0.0

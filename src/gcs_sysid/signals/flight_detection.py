@@ -92,6 +92,7 @@ class GroundTest:
         self._number = -1
         self._sums = np.zeros((2, 0))
         self._before = self._shares = np.zeros(0)
+        self._latest: Array | None = None
         self._rates = np.full(2, np.nan)
         self._lowest = np.nan
         # By squared speeds, by commands, and by what the rotors turn.
@@ -125,7 +126,11 @@ class GroundTest:
         """
         reported = np.full((len(t), 2), np.nan) if reported is None else reported
         norms = np.linalg.norm(rates, axis=1)
-        values = np.column_stack([reported, rates[:, :2], norms, force, thrust, speeds])
+        before = speeds[[0, 0]] if self._latest is None else self._latest
+        self._latest = np.vstack([before, speeds])[-2:]
+        jitter = np.diff(speeds, 2, axis=0, prepend=before) ** 2 / 6.0  # variances of white noise
+        parts = (reported, rates[:, :2], norms, force, thrust, speeds, jitter)
+        values = np.column_stack(parts)
         numbers = np.floor(t / _GROUND.window).astype(np.int64)
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         known = np.isfinite(values)
@@ -152,11 +157,13 @@ class GroundTest:
         end = (self._number + 1) * _GROUND.window
         self._lowest = np.fmax(down, self._lowest)
         climbed = said > 0.5 and self._lowest - down > RULES.risen
-        shown = mean[5:]  # force, squared speeds, commands, each rotor
+        speeds, scatter = np.split(mean[8:], 2)
+        scatter /= np.maximum(count[-len(speeds) :], 1.0)
+        shown = mean[5 : 8 + len(speeds)]  # force, squared speeds, commands, each rotor
         logs = np.log(shown, out=np.full(len(shown), np.nan), where=shown > 0.0)
         changes = logs - self._before
         self._before = logs
-        answered = self._answered(np.array(rates), mean[8:], force)
+        answered = self._answered(np.array(rates), speeds, scatter, force)
         if not math.isfinite(changes[0]):
             return
         # As far as rotors change unlike each other, some that read wrong look like thrust.
@@ -196,16 +203,20 @@ class GroundTest:
         variance = 2.0 * max(float(self._power[i].min()), _GROUND.least_noise**2)
         return float(squares[0] - squares[1]) / (2.0 * variance)
 
-    def _answered(self, rates: Array, speeds: Array, force: float) -> float:
-        """Nats of a window's (2,) rates, against what (rotors,) speeds turn in the air."""
+    def _answered(self, rates: Array, speeds: Array, scatter: Array, force: float) -> float:
+        """Nats of a window's (2,) rates, against what (rotors,) speeds turn in the air.
+
+        Noise turns nothing: what scatter, the variances of these speeds, makes does not count.
+        """
         with np.errstate(invalid="ignore", divide="ignore"):
-            shares = speeds / speeds.mean()
+            shares, noise = speeds / speeds.mean(), 2.0 * scatter / speeds.mean() ** 2
         turned, self._rates = (rates - self._rates) / _GROUND.window, rates
         changes, self._shares = shares - self._shares, shares
         if self._levers is None:
             return 0.0
         asked = force * changes @ self._levers
-        x, y = float(asked @ asked), float(turned @ turned)
+        x = float(asked @ asked - 4.0 * force**2 * (self._levers**2).sum(axis=1) @ noise)
+        x, y = max(x, 0.0), float(turned @ turned)
         if not math.isfinite(x + y):
             return 0.0
         ground, air = (a * a * x + (_GROUND.least_noise * _G) ** 2 for a in _GROUND.answers)
