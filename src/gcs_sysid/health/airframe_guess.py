@@ -30,14 +30,8 @@ from gcs_sysid.session.reported_layout import (
 from gcs_sysid.signals.columns import RecordBlock
 from gcs_sysid.signals.records import Stream
 from gcs_sysid.signals.sampling import Sampler
-from gcs_sysid.telemetry.dialect import mavlink
 from gcs_sysid.telemetry.vehicles import GIVE_MULTIROTOR, MavlinkSystem
 
-_ROTORS = {
-    mavlink.MAV_TYPE_QUADROTOR: "quad",
-    mavlink.MAV_TYPE_HEXAROTOR: "hexa",
-    mavlink.MAV_TYPE_OCTOROTOR: "octo",
-}
 ASSUMED = "assumed"
 """In the words of an origin, after the order of motors."""
 _BY_MOTION = "how the vehicle turns"
@@ -47,7 +41,7 @@ _UNKNOWN_ARM = 0.5
 """Relative standard deviation of an arm that was not given."""
 _GIVE = "give --airframe FILE.toml (gcs-sysid airframe new writes one)"
 _CORNERS = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
-_KINDS = {6: "hexa", 8: "octo"}
+_KINDS = {4: "quad", 6: "hexa", 8: "octo"}
 _COUNTS = (8, 6)
 """Of rotors that may fly though the vehicle calls itself a quadrotor; the larger first."""
 
@@ -126,7 +120,7 @@ def _by_type(
     if vehicle.no_multirotor:
         raise NoAnswerError(vehicle.no_multirotor, GIVE_MULTIROTOR)
     size = f"its arm of {_USUAL_ARM:g} m assumed: give --arm"
-    shape = _ROTORS.get(vehicle.vehicle_type or 0)
+    shape = _KINDS.get(vehicle.rotors or 0)
     if reported is not None:
         airframe = Airframe("reported", reported.rotors)
         if reported.sized:

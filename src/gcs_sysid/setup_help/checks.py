@@ -11,7 +11,7 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,12 +51,7 @@ class SetupFinding:
 
     def as_json(self) -> dict[str, Any]:
         """For a machine to read."""
-        return {
-            "topic": self.topic,
-            "sign": str(self.sign),
-            "text": self.text,
-            "advice": list(self.advice),
-        }
+        return asdict(self) | {"advice": list(self.advice)}
 
 
 def can_show(text: str, encoding: str | None = None) -> bool:
