@@ -85,7 +85,7 @@ def read_tlog() -> Callable[[Path], Iterator[tuple[int, Any]]]:
         parser = mavlink.MAVLink(None)
         at = 0
         while at < len(data):
-            size = 12 + data[at + 9]
+            size = (8 if data[at + 8] == 0xFE else 12) + data[at + 9]
             yield (
                 int.from_bytes(data[at : at + 8], "big"),
                 parser.decode(bytearray(data[at + 8 : at + 8 + size])),

@@ -1,7 +1,7 @@
 """MAVLink 1 and signed frames, as pymavlink reads them."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from sim_bridge.simulated_vehicle import Vehicle
 from sim_bridge.simulation import Simulation
 from sim_bridge.wire import BASE_LENGTHS, FrameWriter, Signer
 from tests.pymavlink_xml import SIZES, definitions
+
+Reader = Callable[[Path], Iterator[tuple[int, Any]]]
 
 DEFINED = definitions("minimal", "standard", "common")
 KEY = bytes(range(32))
@@ -36,23 +38,13 @@ def test_lengths_of_version_1_are_those_of_the_definitions() -> None:
     assert lengths == BASE_LENGTHS
 
 
-def read_version_1(path: Path) -> Iterator[Any]:
-    parser = mavlink.MAVLink(None)
-    data = path.read_bytes()
-    at = 0
-    while at < len(data):
-        assert data[at + 8] == 0xFE
-        size = 8 + data[at + 9]
-        yield parser.decode(bytearray(data[at + 8 : at + 8 + size]))
-        at += 8 + size
-
-
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_a_flight_in_version_1(autopilot: str, tmp_path: Path) -> None:
+def test_a_flight_in_version_1(autopilot: str, tmp_path: Path, read_tlog: Reader) -> None:
     path = tmp_path / "f.tlog"
     options = ["--mavlink", "1", "--autopilot", autopilot, "--noise", "none", "--duration", "2"]
     assert main([*options, "--tlog", str(path)]) == 0
-    messages = list(read_version_1(path))
+    messages = [message for _, message in read_tlog(path)]
+    assert {m.get_msgbuf()[0] for m in messages} == {0xFE}
     names = {m.get_type() for m in messages}
     assert {"HIGHRES_IMU", "ATTITUDE", "SERVO_OUTPUT_RAW", "HEARTBEAT"} <= names
     assert not names & {"ESC_STATUS", "ACTUATOR_OUTPUT_STATUS", "ESC_TELEMETRY_1_TO_4"}

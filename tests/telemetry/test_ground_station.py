@@ -127,22 +127,17 @@ def test_a_vehicle_that_never_spoke_is_not_lost(make_sender):
     assert talk.station.received_at is None
 
 
-def test_a_pulled_plug_is_told_at_once(sender):
-    talk = Talk()
+@pytest.mark.parametrize(
+    ("once", "said"),
+    [(False, " was closed by the other side or unplugged"), (True, ": the sender has finished")],
+)
+def test_a_pulled_plug_is_said_at_once_and_ends_what_connects_once(sender, once, said):
+    talk = Talk(connects_once=once)
     talk.notice(sender.heartbeat())
     talk.link.breaks += 1
     talk.turn(0.2)
-    assert talk.station.lost
-    assert "udpin:0.0.0.0:14550 was closed by the other side or unplugged" in talk.said[-1]
-
-
-def test_a_sender_that_connects_once_has_finished_when_it_hangs_up(sender):
-    talk = Talk(connects_once=True)
-    talk.notice(sender.heartbeat())
-    talk.link.breaks += 1
-    talk.turn(0.2)
-    assert not talk.station.lost
-    assert talk.said[-1] == "udpin:0.0.0.0:14550: the sender has finished"
+    assert talk.station.lost is not once
+    assert f"udpin:0.0.0.0:14550{said}" in talk.said[-1]
 
 
 def test_rates_are_given_back_at_the_end_and_the_port_too(sender):
