@@ -24,6 +24,7 @@ from scipy.special import stdtrit
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.coach.manoeuvre_library import Manoeuvre
+from gcs_sysid.estimation.fit.deviations import AXIS_DAMPING, OF_AXES
 from gcs_sysid.estimation.fit.priors import (
     COORDINATE_MEAN,
     COORDINATE_STD,
@@ -36,7 +37,7 @@ from gcs_sysid.estimation.fit.translation import TranslationFit
 from gcs_sysid.estimation.noise.uncertainty import bartlett
 from gcs_sysid.estimation.online.fit import Fit
 from gcs_sysid.estimation.online.thrust_estimator import MIN_MOMENTUM_SECONDS
-from gcs_sysid.estimation.rows.actuator_dynamics import N_COORDINATES, ROTOR_COLUMNS, Coordinate
+from gcs_sysid.estimation.rows.actuator_dynamics import ROTOR_COLUMNS, Coordinate
 from gcs_sysid.judgement.status import RULES
 from gcs_sysid.model import rigid_body as rb
 from gcs_sysid.model.airframe import Airframe
@@ -217,27 +218,32 @@ def speed_noise(craft: Craft, std: Array, dt: float) -> Array:
 def information(motion: Motion, craft: Craft, noise: Noise, lag: float = 0.0) -> Array:
     """(N_UNKNOWNS, N_UNKNOWNS) that each second of a motion at full swing adds.
 
+    How the axes' dampings differ is found too, and marginalized, as of each motion by itself.
+
     `lag` is s, of the motors, where commands are the input.
     """
     n = len(motion.signals)
     spectrum = np.fft.rfft(motion.signals, axis=0).T / n
     omega = 2.0 * np.pi / motion.period * np.arange(spectrum.shape[1])
-    Q, G = rb.forward_jacobian(craft.theta)
-    changes = np.zeros((N_UNKNOWNS, 3, len(omega)), dtype=complex)
-    changes[: rb.N_THETA] = G @ spectrum
+    Q, G = rb.forward_jacobian(craft.theta, others=OF_AXES)
+    changes = np.zeros((N_UNKNOWNS + len(OF_AXES), 3, len(omega)), dtype=complex)
+    changes[: rb.N_THETA] = G[: rb.N_THETA] @ spectrum
+    changes[N_UNKNOWNS:] = G[rb.N_THETA :] @ spectrum
     rotors = list(ROTOR_COLUMNS)
     driven = Q[:, rotors] @ spectrum[rotors]
     changes[Unknown.DELAY] = 1j * omega * driven
     if craft.rotor_input.motors:
         changes[Unknown.LAG] = -1j * omega / (1.0 + 1j * omega * lag) * driven
         changes[Unknown.CURVE] = Q[:, :4] @ np.fft.rfft(_bent(motion, craft), axis=0).T / n
-    assert len(changes) == rb.N_THETA + N_COORDINATES
     weight = np.linalg.inv(noise.at(omega))
     # All but the constant (and the fastest) stand for a negative frequency as well.
     twice = np.full(len(omega), 2.0)
     twice[0] = 1.0
     weighted = np.einsum("fab,jbf->jaf", weight, changes) * twice
-    return _EFFICIENCY * np.einsum("jaf,kaf->jk", changes.conj(), weighted).real
+    every = _EFFICIENCY * np.einsum("jaf,kaf->jk", changes.conj(), weighted).real
+    own, cross = every[N_UNKNOWNS:, N_UNKNOWNS:], every[:N_UNKNOWNS, N_UNKNOWNS:]
+    usual = (AXIS_DAMPING * craft.theta[rb.MOMENTS]) ** -2.0
+    return every[:N_UNKNOWNS, :N_UNKNOWNS] - cross @ np.linalg.solve(own + np.diag(usual), cross.T)
 
 
 def _bent(motion: Motion, craft: Craft) -> Array:
