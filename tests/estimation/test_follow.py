@@ -59,7 +59,9 @@ def assert_same(fits, others):
             # are shorter than 3e-4 deviations, or some steps after a leap, on its way.
             near = 1e-3 if b.rotation.converged else 2e-3
             assert np.all(difference <= near * std), (k, difference, std)
-            assert a.rotation.std == pytest.approx(b.rotation.std, rel=3e-4)
+            # After a second the covariance is all but singular, and rounding counts.
+            near = 3e-4 if a.seconds > 1.2 else 1e-3
+            assert a.rotation.std == pytest.approx(b.rotation.std, rel=near)
         assert (a.translation is None) == (b.translation is None), k
         if a.translation is not None:
             assert a.translation.source == b.translation.source

@@ -128,6 +128,10 @@ class Deviations:
     def _flat(self) -> Array:
         return self.torques.reshape(len(self.std), 3 * N_X)
 
+    def doing(self, phi: Array, others: "Deviations") -> Array:
+        """(m,) of these that do what (k,) of others do, as nearly as they can."""
+        return np.linalg.lstsq(self.effects.T, phi @ others.effects, rcond=None)[0]
+
     def torque(self, phi: Array) -> Array:
         """(..., 3, N_SIGNALS) that (..., m) deviations add to B of J w' = B x."""
         return (phi @ self._flat).reshape(*phi.shape[:-1], 3, N_X)

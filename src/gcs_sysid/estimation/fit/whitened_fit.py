@@ -298,8 +298,10 @@ def _settled(
         if chosen.like(bank.deviations):
             break
         # Whiteners too: what the model lacked looked like a disturbance.
+        unknowns = solved.point.unknowns[0]
+        phi = chosen.doing(unknowns[N_UNKNOWNS:], bank.deviations)
         bank = replace(bank, deviations=chosen)
-        solved = bank.solve(solved.trial.pick, solved.point.unknowns[:, :N_UNKNOWNS])
+        solved = bank.solve(solved.trial.pick, np.append(unknowns[:N_UNKNOWNS], phi)[None])
     return bank, solved
 
 

@@ -266,9 +266,7 @@ class BankProblem:
         n, m = rb.N_THETA, len(every.std)
         free = self.axes(fit.pick, replace(every, std=np.full(m, np.inf)))
         unknowns = free.extended(point.unknowns[:, :N_UNKNOWNS])
-        # The fit in terms of all deviations: the same torque, the same turn.
-        effect = point.unknowns[0, N_UNKNOWNS:] @ self.deviations.effects
-        phi = np.linalg.lstsq(every.effects.T, effect, rcond=None)[0]
+        phi = every.doing(point.unknowns[0, N_UNKNOWNS:], self.deviations)
         unknowns[:, N_UNKNOWNS:] = phi
         gradient, hessian = (part[0] for part in free.with_prior(free.evaluate(unknowns)))
         of = np.arange(n, n + m)
