@@ -262,8 +262,11 @@ def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
     How certain each is, is itself estimated from scatter, with error. The least of several such
     numbers is too small, and long memories, which sum up slow errors, gain most by chance.
     """
-    stds = np.stack([fit.rotation.std[: rb.DAMPING] for fit in fits])
-    uncertain = np.log(np.maximum(stds, 1e-300)).mean(axis=1)  # what is muted has none
+    # Of its own size: the response to torque goes with the inverse of inertia, whose absolute error
+    # vanishes with it where slow errors drive a moment to nothing.
+    known = (fit.rotation for fit in fits)
+    shares = np.stack([(one.std / rb.counterparts(one.theta, 1.0))[: rb.DAMPING] for one in known])
+    uncertain = np.log(np.maximum(shares, 1e-300)).mean(axis=1)  # what is muted has none
     return fits[int(np.argmax(uncertain <= uncertain.min() + _AS_CERTAIN))]
 
 

@@ -310,11 +310,13 @@ def with_possible_noise(
 
 
 def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
-    """(3,) shares of the whitened acceleration that a quick fit explains; None: there is none."""
+    """(3,) shares of the whitened acceleration that a fit explains; None: there is none."""
     problem = BankProblem(data, basis)
     trial = problem.scanned()
     if trial is None:
         return None
+    # Beside the edge of what is physical a few steps may lead nowhere yet.
+    trial = problem.solve_from(trial).trial
     places = list(trial.pick)
     power = own_power(problem.total[places]) / problem.rows
     return 1.0 - trial.variance[places, AXES] / np.maximum(power, 1e-300)
