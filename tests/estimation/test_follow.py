@@ -56,7 +56,7 @@ def assert_same(fits, others):
             difference = np.abs(a.rotation.unknowns - b.rotation.unknowns)
             std = np.sqrt(np.diag(b.rotation.full_covariance))
             # Sums in another order, which differs between processors. A search stops where steps
-            # are shorter than 3e-4 deviations, or some steps after a leap, on its way.
+            # are shorter than 1e-4 deviations, or some steps after a leap, on its way.
             near = 1e-3 if b.rotation.converged else 2e-3
             assert np.all(difference <= near * std), (k, difference, std)
             # After a second the covariance is all but singular, and rounding counts.

@@ -91,7 +91,7 @@ class Problem:
         deviations: m of them, fitted too: unknowns after the coordinates.
     """
 
-    stopping = Stopping(enough=3e-4, unseen=3e-4, poor=0.25)
+    stopping = Stopping(enough=1e-4, unseen=3e-4, poor=0.25)
     """Between two delays there is less noise than on a straight line: steps may overshoot."""
 
     def __init__(
