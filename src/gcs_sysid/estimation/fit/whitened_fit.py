@@ -264,10 +264,16 @@ def most_certain(fits: Sequence[WhitenedFit]) -> WhitenedFit:
     """
     # Of its own size: the response to torque goes with the inverse of inertia, whose absolute error
     # vanishes with it where slow errors drive a moment to nothing.
-    known = (fit.rotation for fit in fits)
-    shares = np.stack([(one.std / rb.counterparts(one.theta, 1.0))[: rb.DAMPING] for one in known])
-    uncertain = np.log(np.maximum(shares, 1e-300)).mean(axis=1)  # what is muted has none
-    return fits[int(np.argmax(uncertain <= uncertain.min() + _AS_CERTAIN))]
+    uncertain = [
+        float((_logs(each.std) - _logs(rb.counterparts(each.theta, 1.0)))[: rb.DAMPING].mean())
+        for each in (fit.rotation for fit in fits)
+    ]
+    return fits[int(np.argmax(np.array(uncertain) <= min(uncertain) + _AS_CERTAIN))]
+
+
+def _logs(values: Array) -> Array:
+    """Of sizes; of nothing, as the std of what is muted, that of next to nothing."""
+    return np.log(np.maximum(np.abs(values), 1e-300))
 
 
 def _settled(
