@@ -496,13 +496,6 @@ def unlike_delays(
     return -answer @ delays, delays
 
 
-def bank_fit(data: WhitenedMoments, basis: ActuatorDynamics) -> AxisFit | None:
-    """The fit to moments under every whitener, from the data alone; None: nothing to start from."""
-    bank = BankProblem(data, basis)
-    trial = bank.scanned()
-    return None if trial is None else bank.solve_from(trial)
-
-
 def _innovation_maker(solved: AxisFit) -> Array:
     """(3, width) what makes innovations of rows of elements."""
     at = solved.point.unknowns[0, COORDINATES]

@@ -156,6 +156,11 @@ class BankProblem:
         """
         return self.solve(trial.pick, np.unique(trial.unknowns[list(trial.pick)], axis=0))
 
+    def fitted(self) -> AxisFit | None:
+        """The fit under every whitener, from the data alone; None: nothing to start from."""
+        trial = self.scanned()
+        return None if trial is None else self.solve_from(trial)
+
     def tried(self, unknowns: Array, limit: int = _AGAIN) -> BankTrial:
         """Every whitener on all axes, coordinates as in (N_UNKNOWNS,) or (bank, N_UNKNOWNS)."""
         fitted = unknowns if unknowns.ndim == 1 else None
@@ -312,11 +317,11 @@ def with_possible_noise(
 def explained_by(data: WhitenedMoments, basis: ActuatorDynamics) -> Array | None:
     """(3,) shares of the whitened acceleration that a fit explains; None: there is none."""
     problem = BankProblem(data, basis)
-    trial = problem.scanned()
-    if trial is None:
+    # Beside the edge of what is physical a quick search may lead nowhere yet.
+    fit = problem.fitted()
+    if fit is None:
         return None
-    # Beside the edge of what is physical a few steps may lead nowhere yet.
-    trial = problem.solve_from(trial).trial
+    trial = fit.trial
     places = list(trial.pick)
     power = own_power(problem.total[places]) / problem.rows
     return 1.0 - trial.variance[places, AXES] / np.maximum(power, 1e-300)

@@ -12,7 +12,8 @@ import numpy as np
 
 from gcs_sysid.arrays import Array
 from gcs_sysid.estimation.fit.priors import Unknown
-from gcs_sysid.estimation.fit.whitened_fit import ShockReference, bank_fit, shocks_in
+from gcs_sysid.estimation.fit.whitened_fit import ShockReference, shocks_in
+from gcs_sysid.estimation.fit.whitener_choice import BankProblem
 from gcs_sysid.estimation.noise.whitening import (
     WhitenedMoments,
     Whitener,
@@ -214,7 +215,7 @@ class WhitenedRecord:
         """
         # By all of the record: a fit to the first or the last quarter-minute may be a poor one, and
         # what it gives up is gone.
-        whole = bank_fit(self.moments(noise), self.basis)
+        whole = BankProblem(self.moments(noise), self.basis).fitted()
         if whole is None:
             return white
         unknowns = whole.point.unknowns[0]
